@@ -26,7 +26,7 @@ from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.planning.mount import FlangeTouches, find_mount
+from tactile_loc.planning.hand_eye import FlangeTouches, calibrate_hand_eye
 from tactile_loc.simulate.touch_simulation import simulate_touches
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
@@ -83,7 +83,7 @@ def measure_example(localizer: Localizer, count: int, level: str, seed: int, out
     given = add_outlier(given, rng) if outlier else given
     start = time.perf_counter()
     try:
-        found = find_mount(localizer, given)
+        found = calibrate_hand_eye(localizer, given)
     except TactileLocError as error:
         return str(error)
     seconds = time.perf_counter() - start

@@ -24,7 +24,7 @@ from tactile_loc import Localizer, RosPose, load_object, write_touch
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.evaluation.slides import draw_random_slide, write_slide
 from tactile_loc.io.approach_files import read_approaches
-from tactile_loc.io.mount_files import MountRecord, write_mount
+from tactile_loc.io.mount_files import HandEyeRecord, write_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.streams.frame_sources import ImageFolder
@@ -115,7 +115,7 @@ def test_the_table_of_presses_can_be_read():
 
 
 X = make_transform(rotation_about([1, 2, 0], 1.0), [0.02, -0.03, 0.1])  # T_flange_sensor of the mount, metres
-MOUNT = MountRecord(T_flange_sensor=X.tolist())
+MOUNT = HandEyeRecord(T_flange_sensor=X.tolist())
 
 
 def mounted(folder: Path, store: StageStore) -> None:

@@ -14,7 +14,7 @@ from tactile_loc_cli.console import format_count, say, say_table, write_flags
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel
-    from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
+    from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
     from tactile_loc.locate.result.localization import Localization
     from tactile_loc.locate.result.result_json import HypothesisRecord, ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
@@ -151,19 +151,21 @@ def _list_cells(h: HypothesisRecord) -> list[str]:
     return cells if h.error_m is None else [*cells, format_mm(h.error_m)]
 
 
-def say_mount(record: MountRecord) -> None:
+def say_mount(record: HandEyeRecord) -> None:
     """Write the mount, its standard deviations, and the residual of each touch."""
     T, C = np.array(record.T_flange_sensor), np.array(record.covariance)
     say(f"{record.sensor} in the frame of the flange, from {len(record.touch)} touches of {record.object}")
     say_table([list(POSE), format_pose(T)], left=0, gap=2)
     say(f"standard deviations: {_format_std(C, 'flange')}")
-    say_table([["touch", "residual mm", "residual deg", IMPRINT], *map(_list_mount_cells, record.touch)], left=1, gap=2)
+    say_table(
+        [["touch", "residual mm", "residual deg", IMPRINT], *map(_list_hand_eye_cells, record.touch)], left=1, gap=2
+    )
     for one in record.touch:
         if one.left_out:
             say(f"{one.name} was left out: {one.left_out}")
 
 
-def _list_mount_cells(touch: MountTouchRecord) -> list[str]:
+def _list_hand_eye_cells(touch: HandEyeTouchRecord) -> list[str]:
     off = (1e3 * (touch.residual_m or 0.0), np.degrees(touch.residual_rad or 0.0))
     return [touch.name, *(f"{v:z.2f}" for v in off), f"{100 * (touch.imprint_iou or 0.0):.0f}"]
 

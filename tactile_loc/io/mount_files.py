@@ -55,7 +55,7 @@ class Mount:
         return std_m, std_rad
 
 
-class MountTouchRecord(BaseModel):
+class HandEyeTouchRecord(BaseModel):
     """One of the touches from which a mount was computed. Residuals refer to the middle of the gel."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -69,7 +69,7 @@ class MountTouchRecord(BaseModel):
     left_out: str = Field(default="", description="why it was left out; empty if it was used")
 
 
-class MountRecord(PoseKeys):
+class HandEyeRecord(PoseKeys):
     """The content of a mount's file. A nominal mount has only a pose.
 
     A field's description completes "key must be ...".
@@ -87,7 +87,7 @@ class MountRecord(PoseKeys):
     variance_factor: Positive | None = Field(
         default=None, description="a positive number, the factor by which residuals enlarged the touches' variances"
     )
-    touch: list[MountTouchRecord] = Field(default_factory=list, description="[[touch]] tables")
+    touch: list[HandEyeTouchRecord] = Field(default_factory=list, description="[[touch]] tables")
 
 
 def read_mount(path: str | Path) -> Mount:
@@ -97,8 +97,8 @@ def read_mount(path: str | Path) -> Mount:
     when the file is missing, or a key is missing, unknown or wrong.
     """
     path, values = Path(path), read_toml(path)
-    with name_errors(path, MountRecord, values, "a mount"):
-        keys = MountRecord(**values)
+    with name_errors(path, HandEyeRecord, values, "a mount"):
+        keys = HandEyeRecord(**values)
         T = read_pose(keys, keys.T_flange_sensor, "T_flange_sensor")
         covariance = None if keys.covariance is None else _check_covariance(np.array(keys.covariance))
         if T is None:
@@ -106,7 +106,7 @@ def read_mount(path: str | Path) -> Mount:
         return Mount(T, covariance)
 
 
-def write_mount(path: Path, record: MountRecord) -> Path:
+def write_mount(path: Path, record: HandEyeRecord) -> Path:
     """Write a mount as TOML, atomically, and return the path. Raises OutputError if that fails."""
     text = format_toml(record.model_dump(mode="json", exclude_none=True))
     return write_text(path, text)

@@ -11,7 +11,7 @@ import numpy as np
 from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
+from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
 from tactile_loc.locate.result.verdict import explain_verdict, name_verdict
 from tactile_loc.locate.touch_files import LocatedFile
 from tactile_loc.planning.next_touch_files import NextTouchRecord, RatedRecord
@@ -67,8 +67,8 @@ def make_next_touch_page(record: NextTouchRecord, picture: Path) -> Page:
     return _make_page(title, f"symmetry {record.symmetry}; {len(record.ranked)} approaches", sections)
 
 
-def make_mount_page(record: MountRecord, picture: Path) -> Page:
-    """Return the page of a mount; `picture` is the file that `draw_mount` gave."""
+def make_hand_eye_page(record: HandEyeRecord, picture: Path) -> Page:
+    """Return the page of a mount; `picture` is the file that `draw_hand_eye` gave."""
     std = np.sqrt(np.diag(np.array(record.covariance)))
     used = [one for one in record.touch if not one.left_out]
     x, y, z, angle_deg, axis = format_pose(np.array(record.T_flange_sensor))
@@ -80,7 +80,7 @@ def make_mount_page(record: MountRecord, picture: Path) -> Page:
         ("touches", f"{len(used)} of {len(record.touch)}", "used; the others contradict them"),
     ]
     header = ("touch", "residual (mm)", "residual (°)", "imprint IoU (%)", "left out because")
-    rows = [_list_mount_cells(one) for one in record.touch]
+    rows = [_list_hand_eye_cells(one) for one in record.touch]
     sections = [
         Section("summary", "", {"numbers": numbers, "notes": []}),
         Section("drawing", "Residuals", _embed(picture, "residual of each touch, before and after the fit")),
@@ -139,7 +139,7 @@ def _list_rated_cells(one: RatedRecord) -> list[str]:
     return [str(one.rank), one.name, *numbers, f"{one.cost:g}"]
 
 
-def _list_mount_cells(one: MountTouchRecord) -> list[str]:
+def _list_hand_eye_cells(one: HandEyeTouchRecord) -> list[str]:
     off = (1e3 * (one.residual_m or 0.0), np.degrees(one.residual_rad or 0.0))
     return [one.name, *(f"{v:.2f}" for v in off), f"{100 * (one.imprint_iou or 0.0):.0f}", one.left_out]
 

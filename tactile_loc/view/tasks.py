@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.planning.mount import FoundMount
+from tactile_loc.planning.hand_eye import HandEyeCalibration
 from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.view.pictures import add_panels, draw_contact_shape, make_figure
 
@@ -62,7 +62,7 @@ def _draw_entropies(axes: Any, ranked: tuple[RatedApproach, ...], before: float)
     axes.tick_params(labelsize=8)
 
 
-def draw_mount(found: FoundMount, title: str) -> Figure:
+def draw_hand_eye(found: HandEyeCalibration, title: str) -> Figure:
     """Draw the residual of each touch, in mm and in degrees, at the first guess and at the found mount."""
     names = [touch.name for touch in found.given.touches]
     figure = make_figure(max(7.0, 0.45 * len(names) + 2.5), 6.4, constrained=True)

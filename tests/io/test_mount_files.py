@@ -11,15 +11,18 @@ from message_helpers import naming
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.io.mount_files import Mount, MountRecord, MountTouchRecord, read_mount, write_mount
+from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord, Mount, read_mount, write_mount
 
 X = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.01, -0.02, 0.1])
 COVARIANCE = np.diag([1e-8] * 3 + [4e-6] * 3)
 
 
 def test_a_written_mount_is_read_back(tmp_path):
-    touches = [MountTouchRecord(name='a "b".npz', residual_m=1e-7, left_out="it slipped"), MountTouchRecord(name="c")]
-    record = MountRecord(
+    touches = [
+        HandEyeTouchRecord(name='a "b".npz', residual_m=1e-7, left_out="it slipped"),
+        HandEyeTouchRecord(name="c"),
+    ]
+    record = HandEyeRecord(
         T_flange_sensor=X.tolist(), covariance=COVARIANCE.tolist(), T_base_object=X.tolist(), object="pin",
         sensor="digit", variance_factor=1.5, touch=touches,
     )  # fmt: skip

@@ -12,15 +12,15 @@ from message_helpers import missing
 from PIL import Image
 from report_helpers import UNFRIENDLY, Elements
 
-from tactile_loc.io.mount_files import MountRecord, MountTouchRecord
+from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.touch_files import LocatedFile
 from tactile_loc.planning.next_touch_files import ModeRecord, NextTouchRecord, OutOfReachRecord, RatedRecord
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.tasks import (
     make_folder_page,
+    make_hand_eye_page,
     make_identification_page,
-    make_mount_page,
     make_next_touch_page,
 )
 from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord, PoseRecord
@@ -108,11 +108,11 @@ def test_a_next_touch_shows_the_best_approach(picture):
 
 def test_a_mount_shows_its_residuals_and_deviations(picture):
     touches = [
-        MountTouchRecord(name="t0", residual_m=2e-4, residual_rad=0.01, imprint_iou=0.9),
-        MountTouchRecord(name="t1", residual_m=9e-3, residual_rad=0.2, imprint_iou=0.4, left_out="it is 9 mm off"),
+        HandEyeTouchRecord(name="t0", residual_m=2e-4, residual_rad=0.01, imprint_iou=0.9),
+        HandEyeTouchRecord(name="t1", residual_m=9e-3, residual_rad=0.2, imprint_iou=0.4, left_out="it is 9 mm off"),
     ]
     covariance = np.diag([1e-8] * 3 + [np.radians(0.5) ** 2] * 3).tolist()
-    record = MountRecord(T_flange_sensor=EYE, covariance=covariance, object="pin", sensor="digit", touch=touches)
-    page = make_mount_page(record, picture)
+    record = HandEyeRecord(T_flange_sensor=EYE, covariance=covariance, object="pin", sensor="digit", touch=touches)
+    page = make_hand_eye_page(record, picture)
     assert not missing(read(page).text, "1 of 2", "0.10, 0.10, 0.10 mm", "0.50, 0.50, 0.50")
     assert {"t0", "0.20", "0.57", "t1", "9.00", "it is 9 mm off"} <= set(list_cells(page))

@@ -51,9 +51,9 @@ def mount(
     T_base_flange for each touch.
     """
     from tactile_loc.io.mount_files import read_mount, write_mount
-    from tactile_loc.planning.mount import find_mount, make_mount_record, read_flange_touches
+    from tactile_loc.planning.hand_eye import calibrate_hand_eye, make_hand_eye_record, read_flange_touches
     from tactile_loc.view.pictures import save_figure
-    from tactile_loc.view.tasks import draw_mount
+    from tactile_loc.view.tasks import draw_hand_eye
     from tactile_loc_cli.results import say_mount
 
     settings = options.make_config(replace(given, touch=touch))
@@ -61,14 +61,14 @@ def mount(
     require_writable(out)
     expected = None if nominal is None else read_mount(nominal)
     localizer = options.open_localizer(settings, store)
-    found = find_mount(localizer, read_flange_touches(localizer, Path(touch)), expected)
-    record = make_mount_record(localizer, found)
+    found = calibrate_hand_eye(localizer, read_flange_touches(localizer, Path(touch)), expected)
+    record = make_hand_eye_record(localizer, found)
     say_mount(record)
     title = f"{record.sensor} on the flange, from touches of {record.object}"
-    written = [write_mount(out / "mount.toml", record), save_figure(out / "mount.png", draw_mount(found, title))]
+    written = [write_mount(out / "mount.toml", record), save_figure(out / "mount.png", draw_hand_eye(found, title))]
     if report:
         from tactile_loc.reports.report import DEFAULT_NAME, write_page
-        from tactile_loc.reports.tasks import make_mount_page
+        from tactile_loc.reports.tasks import make_hand_eye_page
 
-        written.append(write_page(make_mount_page(record, written[-1]), out / DEFAULT_NAME))
+        written.append(write_page(make_hand_eye_page(record, written[-1]), out / DEFAULT_NAME))
     return {**record.model_dump(mode="json", exclude_none=True), "written": say_written(written)}

@@ -31,12 +31,12 @@ from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.runtime.errors import GridError, MountError, TouchError
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.mount_files import Mount, MountRecord, MountTouchRecord
+from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord, Mount
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Hypothesis
 from tactile_loc.locate.touch_files import read_listed_touch
-from tactile_loc.planning.mount_guess import MountGuess, guess_mounts
+from tactile_loc.planning.hand_eye_starts import HandEyeStart, list_hand_eye_starts
 
 HYPOTHESES = 100  # most hypotheses per touch
 GUESSES = 3  # mounts that are refined
@@ -86,7 +86,7 @@ class Measured:
 
 
 @dataclass(frozen=True, eq=False)
-class FoundMount:
+class HandEyeCalibration:
     """A mount found from N touches: the `fit` to the touches `kept` (N,), and the `guess` from which it started.
 
     `measured` has the object's pose from every touch, registered from the pose that the mount predicts. `imprint_ious`
@@ -95,7 +95,7 @@ class FoundMount:
     """
 
     given: FlangeTouches
-    guess: MountGuess
+    guess: HandEyeStart
     fit: HandEyeFit
     kept: NDArray[np.bool_]
     measured: Measured
@@ -151,7 +151,7 @@ def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
     return FlangeTouches(touches, np.array([one.T_base_flange for one in listed]))
 
 
-def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None = None) -> FoundMount:
+def calibrate_hand_eye(localizer: Localizer, given: FlangeTouches, nominal: Mount | None = None) -> HandEyeCalibration:
     """Find the mount of the localizer's sensor, and the object's pose, from touches at known flange poses.
 
     A `nominal` mount limits the search to mounts within NOMINAL_M and NOMINAL_RAD. Raises MountError if there are too
@@ -162,7 +162,7 @@ def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None
     hypotheses = [np.array([h.T_sensor_object for h in some]).reshape(-1, 4, 4) for some in located]
     metric = PoseMetric(localizer.object)
     allowed = None if nominal is None else lambda X: _is_near(X, nominal.T_flange_sensor)
-    guesses = guess_mounts(given.T_base_flange, hypotheses, metric, GUESSES, allowed)
+    guesses = list_hand_eye_starts(given.T_base_flange, hypotheses, metric, GUESSES, allowed)
     best_ious = np.array([max((h.imprint_iou for h in some), default=0.0) for some in located])
     found = []
     with localizer.progress.task("refining the mount", len(guesses)) as advance:
@@ -173,10 +173,10 @@ def find_mount(localizer: Localizer, given: FlangeTouches, nominal: Mount | None
     return _require_known(best, given, nominal)
 
 
-def make_mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
+def make_hand_eye_record(localizer: Localizer, found: HandEyeCalibration) -> HandEyeRecord:
     """Make the record of a mount, in SI units, with the residuals of every touch."""
     touches = [
-        MountTouchRecord(
+        HandEyeTouchRecord(
             name=touch.name,
             residual_m=float(last[0]),
             residual_rad=float(last[1]),
@@ -191,7 +191,7 @@ def make_mount_record(localizer: Localizer, found: FoundMount) -> MountRecord:
     ]
     fit, sensor = found.fit, localizer.config.sensor
     sensor_name = Path(str(sensor.options["path"])).stem if "path" in sensor.options else sensor.name
-    return MountRecord(
+    return HandEyeRecord(
         T_flange_sensor=fit.T_flange_sensor.tolist(),
         covariance=fit.covariance.tolist(),
         T_base_object=fit.T_base_object.tolist(),
@@ -221,7 +221,7 @@ def _is_near(T_flange_sensor: Poses, nominal: Floats) -> NDArray[np.bool_]:
     return np.asarray((far_m < NOMINAL_M) & (rotated < NOMINAL_RAD))
 
 
-def _refine(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_ious: Floats) -> FoundMount:
+def _refine(localizer: Localizer, given: FlangeTouches, guess: HandEyeStart, best_ious: Floats) -> HandEyeCalibration:
     registration = _Registration.of(localizer, given)
     kept = np.ones(len(given), bool)
     X, Y = registration.converge(guess.T_flange_sensor, guess.T_base_object, kept)
@@ -236,7 +236,7 @@ def _refine(localizer: Localizer, given: FlangeTouches, guess: MountGuess, best_
     kept = kept & registration.find_trusted(X, Y, best_ious)
     # registration absorbs part of the errors, so the typical residual gives the variance
     fit = dataclasses.replace(fit, variance=estimate_typical_variance(fit.chi2))
-    return FoundMount(given, guess, fit, kept, measured, registration.compute_imprint_ious(X, Y), best_ious)
+    return HandEyeCalibration(given, guess, fit, kept, measured, registration.compute_imprint_ious(X, Y), best_ious)
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,7 +314,7 @@ def require_motions(given: FlangeTouches) -> None:
         )
 
 
-def _require_known(found: FoundMount | None, given: FlangeTouches, nominal: Mount | None) -> FoundMount:
+def _require_known(found: HandEyeCalibration | None, given: FlangeTouches, nominal: Mount | None) -> HandEyeCalibration:
     """Return the mount. Raises MountError if too few touches agree on it, or if they do not determine it."""
     agreeing = 0 if found is None else int(found.kept.sum())
     if found is None or agreeing < max(LEAST, len(given) / 2):

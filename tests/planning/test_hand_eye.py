@@ -19,8 +19,14 @@ from tactile_loc.io.mount_files import Mount, read_mount, write_mount
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Hypothesis
 from tactile_loc.planning import mount
-from tactile_loc.planning.mount import FlangeTouches, find_mount, make_mount_record, require_determined, require_motions
-from tactile_loc.planning.mount_guess import guess_mounts
+from tactile_loc.planning.hand_eye import (
+    FlangeTouches,
+    calibrate_hand_eye,
+    make_hand_eye_record,
+    require_determined,
+    require_motions,
+)
+from tactile_loc.planning.hand_eye_starts import list_hand_eye_starts
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.simulate.touch_simulation import simulate_touches
 
@@ -54,7 +60,7 @@ def test_the_mount_is_found_among_wrong_and_equivalent_hypotheses(make_box, cyli
     F = Y @ invert(S) @ invert(X)
     hypotheses = hypotheses_of(S, obj, rng)
     hypotheses[2] = poses(10, 0.02, rng)  # not found at all
-    (guess, *_) = guess_mounts(F, hypotheses, PoseMetric(obj), 2)
+    (guess, *_) = list_hand_eye_starts(F, hypotheses, PoseMetric(obj), 2)
     off = compute_pose_errors(X, guess.T_flange_sensor)
     assert np.linalg.norm(off[:3]) < 1.5e-3
     assert np.linalg.norm(off[3:]) < np.radians(4.0)
@@ -69,7 +75,7 @@ def test_a_nominal_mount_excludes_other_mounts(box, truth):
         lambda T, N=N: mount._is_near(T, N)
         for N in (X @ make_translation([0.01, 0, 0]), X @ make_translation([0.1, 0, 0]))
     ]
-    near, far = (guess_mounts(F, hypotheses, PoseMetric(box), 1, some) for some in allowed)
+    near, far = (list_hand_eye_starts(F, hypotheses, PoseMetric(box), 1, some) for some in allowed)
     assert near[0].agreeing.all()
     assert not far or far[0].agreeing.sum() < COUNT / 2
 
@@ -105,7 +111,7 @@ def case(store, truth):
 
 
 def test_the_mount_is_found_and_written(case, tmp_path):
-    found = find_mount(case.localizer, case.given)
+    found = calibrate_hand_eye(case.localizer, case.given)
     e = compute_pose_errors(case.X, found.mount.T_flange_sensor)
     assert np.linalg.norm(e[:3]) < 5e-4
     assert np.linalg.norm(e[3:]) < np.radians(1.5)
@@ -115,7 +121,7 @@ def test_the_mount_is_found_and_written(case, tmp_path):
     seen = predict(case.given.T_base_flange, found.fit.T_flange_sensor, found.fit.T_base_object)
     off_m = PoseMetric(case.localizer.object).symmetric_distance(seen, case.seen)
     assert off_m.max() < 1e-3
-    record = make_mount_record(case.localizer, found)
+    record = make_hand_eye_record(case.localizer, found)
     again = read_mount(write_mount(tmp_path / "mount.toml", record))
     np.testing.assert_array_equal(again.T_flange_sensor, found.mount.T_flange_sensor)
     assert [touch.left_out for touch in record.touch] == [""] * COUNT
@@ -124,7 +130,7 @@ def test_the_mount_is_found_and_written(case, tmp_path):
 def test_a_wrong_touch_is_named_and_excluded(case):
     T = case.given.T_base_flange.copy()
     T[3] = T[3] @ make_translation([0.0, 0.006, 0.0])
-    found = find_mount(case.localizer, dataclasses.replace(case.given, T_base_flange=T), Mount(case.X))
+    found = calibrate_hand_eye(case.localizer, dataclasses.replace(case.given, T_base_flange=T), Mount(case.X))
     assert np.flatnonzero(~found.kept).tolist() == [3]
     assert "imprint" in found.explain_left_out(3) or "mm" in found.explain_left_out(3)
     assert found.explain_left_out(0) == ""
@@ -136,10 +142,10 @@ def test_contradicting_touches_are_refused(case):
     T[::2, :3, 3] += 0.05 * np.random.default_rng(0).normal(size=(COUNT // 2, 3))
     T[1, :3, 3] += 0.03
     with pytest.raises(MountError, match=naming(8, "T_base_flange")):
-        find_mount(case.localizer, dataclasses.replace(case.given, T_base_flange=T))
+        calibrate_hand_eye(case.localizer, dataclasses.replace(case.given, T_base_flange=T))
     elsewhere = Mount(case.X @ make_translation([0.2, 0.0, 0.0]))
     with pytest.raises(MountError, match=naming(0, 8, "nominal")):
-        find_mount(case.localizer, case.given, elsewhere)
+        calibrate_hand_eye(case.localizer, case.given, elsewhere)
 
 
 def test_too_few_touches_and_poor_motions_are_named(case):
@@ -152,7 +158,7 @@ def test_too_few_touches_and_poor_motions_are_named(case):
     for axis, name in (([0, 0, 1], r"\bz\b"), ([1, 2, 2], r"\(0.33, 0.67, 0.67\)")):
         turned = make_transform(rotation_about(axis, np.linspace(0, 2, COUNT)), shifted[:, :3, 3])
         with pytest.raises(MountError, match=naming("axis") + f".*{name}"):
-            find_mount(case.localizer, dataclasses.replace(case.given, T_base_flange=turned))
+            calibrate_hand_eye(case.localizer, dataclasses.replace(case.given, T_base_flange=turned))
 
 
 def test_an_undetermined_direction_is_named():

@@ -28,7 +28,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class MountGuess:
+class HandEyeStart:
     """A guess of the mount T_flange_sensor (4, 4) and the object's pose T_base_object (4, 4), both in metres.
 
     The mount predicts the object's pose in each of N sensor frames. `off_m` (N,) are surface distances, metres, from
@@ -49,20 +49,20 @@ class MountGuess:
         """The number of touches that agree; the worse a touch agrees, the less it counts."""
         return float(_score(self.off_m))
 
-    def is_another(self, other: MountGuess) -> bool:
+    def is_another(self, other: HandEyeStart) -> bool:
         """Return whether the other guess differs enough to count as a different mount."""
         X, Y = self.T_flange_sensor, other.T_flange_sensor
         rotated = float(rotation_angle(X[:3, :3].T @ Y[:3, :3]))
         return rotated > ANOTHER_RAD or float(np.linalg.norm(X[:3, 3] - Y[:3, 3])) > ANOTHER_M
 
 
-def guess_mounts(
+def list_hand_eye_starts(
     T_base_flange: Poses,
     hypotheses: Sequence[Poses],
     metric: PoseMetric,
     count: int,
     allowed: Callable[[Poses], NDArray[np.bool_]] | None = None,
-) -> list[MountGuess]:
+) -> list[HandEyeStart]:
     """Return at most `count` different mounts on which touches agree, the best first; there may be none.
 
     `T_base_flange` is (N, 4, 4), metres. `hypotheses` has the poses T_sensor_object (K, 4, 4), metres, of each of N
@@ -70,7 +70,7 @@ def guess_mounts(
     considered.
     """
     nodes = _Nodes.of(T_base_flange, hypotheses, metric)
-    found: list[MountGuess] = []
+    found: list[HandEyeStart] = []
     for anchor in nodes.anchors():
         triples = nodes.triples(anchor)
         if not len(triples):
@@ -80,7 +80,7 @@ def guess_mounts(
             right = allowed(X)
             X, Y = X[right], Y[right]
         off_m = measure_distances_to_hypotheses(predict(T_base_flange, X, Y), hypotheses, metric)
-        found += [MountGuess(X[k], Y[k], off_m[k]) for k in np.argsort(-_score(off_m), kind="stable")[:count]]
+        found += [HandEyeStart(X[k], Y[k], off_m[k]) for k in np.argsort(-_score(off_m), kind="stable")[:count]]
     return _choose_different(found, count)
 
 
@@ -103,8 +103,8 @@ def _score(off_m: Floats) -> Floats:
     return np.maximum(0.0, 1.0 - (off_m / AGREES_M) ** 2).sum(axis=-1)
 
 
-def _choose_different(found: list[MountGuess], count: int) -> list[MountGuess]:
-    best: list[MountGuess] = []
+def _choose_different(found: list[HandEyeStart], count: int) -> list[HandEyeStart]:
+    best: list[HandEyeStart] = []
     for guess in sorted(found, key=lambda one: -one.score):
         if len(best) == count:
             break
