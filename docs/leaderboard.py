@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""The leaderboard, docs/leaderboard.md, and the tables of sources and methods in docs/benchmark.md.
+"""The leaderboard, benchmarks/results/leaderboard/README.md, and the tables of sources and methods in docs/benchmark.md.
 
-The leaderboard shows all files of benchmarks/results/leaderboard. Run this program to renew both pages.
+The leaderboard shows all files of its folder. Run this program to renew both pages.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from tactile_loc.evaluation.tabular import format_markdown
 from tactile_loc.slots.registry import BUILT_IN, registry
 
 DOCS = Path(__file__).parent
-PAGE, GUIDE = DOCS / "leaderboard.md", DOCS / "benchmark.md"
 RESULTS = DOCS.parent / "benchmarks" / "results" / "leaderboard"
+PAGE, GUIDE = RESULTS / "README.md", DOCS / "benchmark.md"
 OURS = "tactile-loc"
 NEAR = WITHIN_M.index(1e-3)
 INTRODUCTION = f"""\
 # Leaderboard
 
 This page compares methods that locate objects from touch. `tactile-loc benchmark` measured all figures
-([how, and how to add your method](benchmark.md)). `python docs/leaderboard.py` writes this page from the files in
-`benchmarks/results/leaderboard`.
+([how, and how to add your method](../../../docs/benchmark.md)). `python docs/leaderboard.py` writes this page from the
+files in this folder.
 
 {textwrap.fill(f"{TABLE_NOTE} The best value of each column is bold, for each number of touches.", 120)}
 
@@ -66,7 +66,7 @@ def read_all(folder: Path = RESULTS) -> list[Standing]:
 
 
 def format_page(standings: Sequence[Standing]) -> str:
-    """Return the text of docs/leaderboard.md."""
+    """Return the text of the leaderboard."""
     tables: dict[Key, list[Standing]] = {}
     for standing in standings:
         tables.setdefault(_find_key(standing), []).append(standing)

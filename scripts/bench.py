@@ -8,8 +8,8 @@ documentation are renewed, and the sentences to check are listed. `bind RUN` con
 repeats every kept run, and runs every other benchmark. `compare` prints the ratio of every figure to its value before:
 in the previous version or, if only one version has the run, in the previous committed measurement. It fails if a time
 grew, or a speed fell, by more than a tenth. Times are compared as multiples of a yardstick: the time of a fixed piece
-of work before and after a run. `page` writes the documentation's page of results, and all figures that come from
-results.
+of work before and after a run. `page` writes benchmarks/results/README.md, and all figures of the documentation that
+come from results.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ import figures
 from results import NUMBER, RESULTS, ROOT, Kept, Table, find_tables, list_versions, read_before, read_latest
 
 BENCHMARKS = ROOT / "benchmarks"
-PAGE = ROOT / "docs" / "results.md"
+PAGE = RESULTS / "README.md"
 PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu")
 WORSE = 0.1  # share by which a time may grow
 CHANGED = 0.1  # share by which a figure may change without a mark
@@ -214,13 +214,13 @@ def _format_change(change: Change) -> str:
 
 
 def format_page(folder: Path = RESULTS) -> str:
-    """Return the documentation's page of results: all runs, and the tables of the runs that `keep` made."""
+    """Return the text of benchmarks/results/README.md: all runs, and the tables of the runs that `keep` made."""
     parts = [
         "# Results over time\n",
         "The first table lists every run of the benchmarks, with its command and date. If `scripts/bench.py keep`\n"
         "made the run, its tables follow below. Otherwise, the last column names the page with its tables.\n"
-        "[Benchmarks](benchmarks.md) explains all tables.\n",
-        "`benchmarks/results` contains a file for each run and version. The yardstick is the time that a fixed piece\n"
+        "[Benchmarks](../../docs/benchmarks.md) explains all tables.\n",
+        "This folder contains a file for each run and version. The yardstick is the time that a fixed piece\n"
         "of work takes, measured before and after the run. To compare machines, times are divided by the yardstick.\n"
         "`make bench-compare` prints the ratio of every figure to its value in the previous version. A run that only\n"
         "one version has is compared with its previous committed measurement. The command fails if a time has grown,\n"
@@ -273,7 +273,7 @@ def main() -> int:
     kept.add_argument("name", nargs="?")
     kept.add_argument("arguments", nargs=argparse.REMAINDER)
     commands.add_parser("compare", help="print the ratio of every figure to its value before")
-    commands.add_parser("page", help="write the documentation's page and figures")
+    commands.add_parser("page", help="write the page of all results, and the documentation's figures")
     bound = commands.add_parser("bind", help="confirm the sentences of the documentation about a run")
     bound.add_argument("name")
     chosen = parser.parse_args()

@@ -168,7 +168,7 @@ def check_page(page: str, text: str, results: Results, quotes: Sequence[Quote]) 
 
 def read_pages(root: Path = ROOT) -> dict[str, str]:
     """Return the texts of all pages. The keys are the pages' paths."""
-    paths = [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
+    paths = [root / "README.md", *sorted((root / "docs").rglob("*.md")), *sorted((root / "notes").glob("*.md"))]
     return {path.relative_to(root).as_posix(): path.read_text(encoding="utf-8") for path in paths if path.exists()}
 
 

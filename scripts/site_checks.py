@@ -1,4 +1,4 @@
-"""Hooks of mkdocs that warn if the API reference documents a name twice.
+"""Hooks of mkdocs that name files outside the site, and warn if the API reference documents a name twice.
 
 mkdocs itself warns only if a page links to such a name. Names of the API are the anchors with a dot, as in
 `tactile_loc.Touch`. Anchors of headings have no dot.
@@ -19,6 +19,12 @@ _page_of: dict[str, str] = {}  # the first page that documents a name
 def on_pre_build(**_: Any) -> None:
     """Forget the names of the previous build, because `mkdocs serve` builds many times."""
     _page_of.clear()
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Replace each link to a file outside the site by the link's text and the file's path in the repository."""
+    above = "../" * (page.file.src_uri.count("/") + 1)
+    return re.sub(rf"\[([^\]]+)\]\({re.escape(above)}([^)#]+)[^)]*\)", r"\1 (`\2`)", markdown)
 
 
 def on_post_page(output: str, page: Any, **_: Any) -> str:

@@ -33,7 +33,6 @@ def test_every_page_occurs_once_in_the_navigation():
     assert set(pages) == {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
 
 
-def test_results_and_lab_notes_have_their_own_tabs():
+def test_results_have_their_own_tab():
     tab_of = {page: name for tab in NAV for name, entry in tab.items() for page in list_pages(entry)}
-    assert {tab for page, tab in tab_of.items() if page.startswith("lab-notes")} == {"Lab notes"}
     assert {tab for page, tab in tab_of.items() if page.startswith(("benchmarks", "trust"))} == {"Results"}
