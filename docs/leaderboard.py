@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The leaderboard, benchmarks/results/leaderboard/README.md, and the tables of sources and methods in docs/benchmark.md.
+"""The leaderboard (benchmarks/results/leaderboard/README.md), and the tables of components in docs/benchmark.md.
 
 The leaderboard shows all files of its folder. Run this program to renew both pages.
 """
