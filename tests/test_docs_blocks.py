@@ -43,8 +43,6 @@ ELSEWHERE = {
     "plugin-examples.md": "test_docs_examples.py",
     "tutorial-plugin.md": "test_docs_tutorial.py",
     "sweeps.md": "test_docs_sweeps.py",
-    "sweeps-cluster.md": "test_docs_sweeps.py",
-    "sweeps-results.md": "test_docs_sweeps.py",
     "reports.md": "test_docs_reports.py",
     "programs.md": "test_docs_programs.py",
     "tuning.md": "test_docs_tuning.py",

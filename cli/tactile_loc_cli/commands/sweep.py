@@ -54,7 +54,7 @@ Line = Annotated[
     declare(
         "--line",
         "LINE",
-        "Error to show in sweep.md, pictures and comparisons: best-1, reg-1, ... (docs/evaluation-protocol.md).",
+        "Error to show in sweep.md, pictures and comparisons: best-1, reg-1, ... (docs/evaluation.md).",
     ),
 ]
 DryRun = Annotated[
