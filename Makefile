@@ -9,6 +9,8 @@ RUN := $(VENV)/bin/python -m
 PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 # The slow tests take as long as all others. They train, kill and start many processes.
 SLOW ?= not slow
+# The packages with further commands, which are installed from this tree.
+ANNEXES := $(patsubst %/pyproject.toml,./%,$(wildcard $(foreach name,app benchmark library,plugins_contrib/tactile-loc-$(name)/pyproject.toml)))
 
 # ROS and others put their own packages, such as pytest plugins, before ours. Compiled modules are kept, because the tests
 # start hundreds of processes.
@@ -108,13 +110,14 @@ ifneq "$(shell cat $(STAMP) 2>/dev/null)" "$(CURDIR)"
 .PHONY: $(STAMP)
 endif
 
-$(STAMP): pyproject.toml constraints.txt
+$(STAMP): pyproject.toml constraints.txt $(ANNEXES:=/pyproject.toml)
 	@PYTHON="$(PYTHON)" scripts/system-packages.sh
 	@if [ -e $(STAMP) ] && [ "$$(cat $(STAMP))" != "$(CURDIR)" ]; then rm -rf $(VENV); fi
 	@python=$$(PYTHON="$(PYTHON)" scripts/find-python.sh) && \
 		echo "setup: making $(VENV) with $$python" && "$$python" -m venv $(VENV)
 	@echo "setup: installing the pinned packages, a minute or two the first time"
 	@$(RUN) pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@$(if $(ANNEXES),$(RUN) pip install -qq --disable-pip-version-check --no-index --no-deps --no-build-isolation $(addprefix -e ,$(ANNEXES)))
 	@echo "setup: compiling the kernels"
 	@$(RUN) tactile_loc_cli.doctor.trials kernels > /dev/null || echo "setup: the kernels were not compiled; the first run reports the reason"
 	@echo "$(CURDIR)" > $(STAMP)

@@ -16,7 +16,8 @@ from tactile_loc.core.runtime.lazy import lazy_names
 if TYPE_CHECKING:
     # what a package offers, and for which version of this interface
     from tactile_loc.slots.interface import INTERFACE_VERSION as INTERFACE_VERSION
-    from tactile_loc.slots.registry import ComponentSpec as ComponentSpec, hookimpl as hookimpl
+    from tactile_loc.slots.registry import CommandSpec as CommandSpec, ComponentSpec as ComponentSpec
+    from tactile_loc.slots.registry import hookimpl as hookimpl
     from tactile_loc.slots.registry import registry as registry
 
     # the seven slots, with their capabilities, arguments and results

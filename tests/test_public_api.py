@@ -10,9 +10,10 @@ import pytest
 from message_helpers import naming
 
 import tactile_loc
+import tactile_loc.commands
 import tactile_loc.plugin
 
-MODULES = (tactile_loc, tactile_loc.plugin)
+MODULES = (tactile_loc, tactile_loc.plugin, tactile_loc.commands)
 PROJECT = Path(__file__).parents[1]
 HEAVY = ("numpy", "scipy", "trimesh", "open3d", "torch", "numba", "faiss", "pydantic", "matplotlib", "pyrender")
 

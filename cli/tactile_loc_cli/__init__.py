@@ -1,1 +1,37 @@
-"""The command line of tactile-loc."""
+"""The command line, as a plugin that offers the commands of tactile-loc by the hook for commands."""
+
+from __future__ import annotations
+
+from tactile_loc.slots.registry import CommandSpec, hookimpl
+
+# name, function or application, summary
+COMMANDS = (
+    ("run", "commands.run:run", "Locate an object from one touch or several."),
+    ("build", "commands.build:build", "Build an object's model ahead of time."),
+    ("simulate", "commands.simulate:simulate", "Simulate touches with known poses."),
+    ("evaluate", "evaluate.command:evaluate", "Measure how often `run` is right."),
+    ("sweep", "commands.sweep:sweep", "Evaluate every combination of components."),
+    ("benchmark", "commands.benchmark:benchmark", "Compare methods on touches from several sources."),
+    ("report", "commands.report:report", "Show a result as one HTML file."),
+    ("live", "commands.live:live", "Locate an object in each frame as it arrives."),
+    ("replay", "commands.replay:replay", "Locate an object in each image of a ROS recording, or of a folder."),
+    ("calibrate", "commands.calibrate:calibrate", "Calibrate a sensor to read its images."),
+    ("mount", "commands.mount:mount", "Find where a sensor is mounted on a flange."),
+    ("next-touch", "commands.next_touch:next_touch", "Choose where to touch next."),
+    ("identify", "commands.identify:identify", "Find which of several objects was touched."),
+    ("objects", "commands.plugins:objects", "List the demo objects."),
+    ("plugins", "commands.plugins:plugins", "List components and their options, or check one."),
+    ("new-plugin", "scaffold.command:new_plugin", "Write a package for a new component."),
+    ("app", "commands.app:app", "Press a virtual finger on an object, and locate it, on a local web page."),
+    ("doctor", "doctor.command:doctor", "Check the installation."),
+    ("library", "commands.library:application", "Build, change or check a library of parts."),
+    ("store", "commands.store:application", "List, measure or prune the built models."),
+)
+# Commands of packages in plugins_contrib, which are installed separately.
+ANNEXES = {"app": "tactile-loc-app", "benchmark": "tactile-loc-benchmark", "library": "tactile-loc-library"}
+
+
+@hookimpl
+def register_commands() -> list[CommandSpec]:
+    """Return the commands that come with tactile-loc."""
+    return [CommandSpec(name, summary, f"{__name__}.{target}") for name, target, summary in COMMANDS]

@@ -1,4 +1,4 @@
-"""What all commands share: the options --json, -v and -q, the error handling, and the completion of names."""
+"""Commands made from functions: the options --json, -v and -q, the error handling, and the completion of names."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ from contextlib import nullcontext
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command, get_group
 from typer.models import ParameterInfo
 
-from tactile_loc.slots.registry import KINDS, SLOTS, registry
+from tactile_loc.core.runtime.errors import TactileLocError
+from tactile_loc.slots.registry import KINDS, SLOTS, CommandSpec, registry
 from tactile_loc_cli.console import hide_results, name_flags, say_json, show_log
 from tactile_loc_cli.failures import Finding, report_failures
 from tactile_loc_cli.options import RunOptions, Takes
@@ -62,6 +65,47 @@ def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[...
 
     command.__signature__ = inspect.Signature(list(_list_parameters(own, taken)))  # type: ignore[attr-defined]
     return command
+
+
+def make_typer(**settings: Any) -> typer.Typer:
+    """Return an empty typer application whose help is plain text."""
+    return typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, **settings)
+
+
+def build_command(spec: CommandSpec, target: Any) -> TyperCommand | TyperGroup:
+    """Return the parser of a command, or of a group of commands if `target` is a typer application."""
+    if isinstance(target, typer.Typer):
+        return get_group(_make_group(target, spec.summary))
+    return _build_single(spec.name, target)
+
+
+def build_failing_command(name: str, error: TactileLocError) -> TyperCommand | TyperGroup:
+    """Return the parser of a hidden command that takes any words and raises the error."""
+
+    def fail() -> None:
+        raise error
+
+    anything = {"ignore_unknown_options": True, "allow_extra_args": True}
+    return _build_single(name, fail, hidden=True, add_help_option=False, context_settings=anything)
+
+
+def _build_single(name: str, function: Callable[..., Any], **settings: Any) -> TyperCommand | TyperGroup:
+    application = make_typer(add_completion=False)
+    application.command(name, **settings)(make_command(function))
+    return get_command(application)  # type: ignore[return-value]
+
+
+def _make_group(application: typer.Typer, summary: str) -> typer.Typer:
+    """Return a typer application with the same commands, made by `make_command`."""
+    group = make_typer(help=summary)
+    for info in application.registered_commands:
+        if info.callback is not None:
+            group.command(info.name, hidden=info.hidden)(make_command(info.callback))
+    for inner in application.registered_groups:
+        if inner.typer_instance is not None:
+            about = inner.help if isinstance(inner.help, str) else ""
+            group.add_typer(_make_group(inner.typer_instance, about), name=inner.name)
+    return group
 
 
 def _call(

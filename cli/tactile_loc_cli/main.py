@@ -4,40 +4,95 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from itertools import groupby
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from tactile_loc_cli.command import Quiet, Verbose, make_command
-from tactile_loc_cli.commands import library as library_commands
-from tactile_loc_cli.commands import store as store_commands
-from tactile_loc_cli.commands.app import app as serve_app
-from tactile_loc_cli.commands.benchmark import benchmark
-from tactile_loc_cli.commands.build import build
-from tactile_loc_cli.commands.calibrate import calibrate
-from tactile_loc_cli.commands.identify import identify
-from tactile_loc_cli.commands.live import live
-from tactile_loc_cli.commands.mount import mount
-from tactile_loc_cli.commands.next_touch import next_touch
-from tactile_loc_cli.commands.plugins import objects, plugins
-from tactile_loc_cli.commands.replay import replay
-from tactile_loc_cli.commands.report import report
-from tactile_loc_cli.commands.run import run
-from tactile_loc_cli.commands.simulate import simulate
-from tactile_loc_cli.commands.sweep import sweep
-from tactile_loc_cli.doctor.command import doctor
-from tactile_loc_cli.evaluate.command import evaluate
+from tactile_loc.core.runtime.errors import MissingLibraryError, PluginLoadError, TactileLocError
+from tactile_loc.slots.registry import BUILT_IN, RegisteredCommand, registry
+from tactile_loc_cli import ANNEXES
+from tactile_loc_cli.command import Quiet, Verbose, build_command, build_failing_command, make_typer
 from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, UsageError, describe_usage_error, tell
-from tactile_loc_cli.scaffold.command import new_plugin
 
 # Imports make many objects that stay. To look for garbage among them as often as usual takes a twentieth of a run.
 MADE_OBJECTS = 50_000  # objects between two searches for garbage
 
 
-class PlainErrors(TyperGroup):
-    """Reports a wrong command line in one line on stderr and an exit code; make_command handles all other failures."""
+class OfferedCommands(Mapping[str, Any]):
+    """The parsers of all commands that packages offer. A command's module is imported when its parser is read."""
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the names of the offered commands, in the order found."""
+        return iter(dict.fromkeys(c.spec.name for c in registry().commands))
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+    def __contains__(self, name: object) -> bool:
+        return any(c.spec.name == name for c in registry().commands) or name in ANNEXES
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the parser of a command. If the command cannot be loaded, its parser raises the reason."""
+        if name not in self:
+            raise KeyError(name)
+        try:
+            return _load_command(registry().find_command(name) or _report_missing(name))
+        except TactileLocError as error:
+            return build_failing_command(name, error)
+
+
+@cache
+def _load_command(found: RegisteredCommand) -> Any:
+    """Import a command, and return its parser. Raises PluginLoadError or MissingLibraryError."""
+    return build_command(found.spec, registry().load_command(found))
+
+
+def _report_missing(name: str) -> RegisteredCommand:
+    """Raise the reason why a command of an annex is not offered."""
+    annex = ANNEXES[name]
+    for failure in registry().failures:
+        if failure.distribution == annex:
+            raise PluginLoadError(f"the command {name!r} of {annex} could not be loaded ({failure.error})")
+    raise MissingLibraryError(
+        f"the command {name!r} needs {annex}, which is not installed; in a clone of tactile-loc, run "
+        f"pip install ./plugins_contrib/{annex}"
+    )
+
+
+class Commands(TyperGroup):
+    """The commands of all packages.
+
+    This class reports a wrong command line in one line on stderr, and ends with an exit code. `make_command` handles
+    all other failures.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands: Any = OfferedCommands()
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands, without loading them."""
+        return list(self.commands)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that the words choose. If there is none, the error also names the broken plugins."""
+        try:
+            return super().resolve_command(ctx, args)
+        except UsageError as error:
+            broken = [f"The plugin {f.plugin} could not be loaded ({f.error})" for f in registry().failures]
+            error.message = ". ".join([error.message.removesuffix("."), *broken])
+            raise
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands and their summaries by package, without loading them."""
+        for distribution, offered in groupby(registry().commands, key=lambda c: c.distribution):
+            title = "Commands" if distribution == BUILT_IN else f"Commands of {distribution}"
+            with formatter.section(title):
+                formatter.write_dl([(c.spec.name, c.spec.summary) for c in offered])
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command line and end the process."""
@@ -66,18 +121,11 @@ def _find_command(group: TyperGroup, words: Sequence[str]) -> list[str]:
     return [name, *(_find_command(found, words[words.index(name) + 1 :]) if isinstance(found, TyperGroup) else [])]
 
 
-def _make_app(**settings: Any) -> typer.Typer:
-    return typer.Typer(
-        rich_markup_mode=None,
-        pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-        **settings,
-    )
-
-
-app = _make_app(cls=PlainErrors, invoke_without_command=True)
-store = _make_app(help="List, measure or prune the built models.")
-library = _make_app(help="Build, change or check a library of parts.")
+app = make_typer(
+    cls=Commands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
 
 
 def _show_version(asked: bool) -> None:
@@ -105,21 +153,6 @@ def begin(
     context.obj = verbose - quiet
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
-
-
-for command in (
-    run, build, simulate, evaluate, sweep, benchmark, report, live, replay, calibrate, mount, next_touch, identify,
-    objects, plugins, new_plugin,
-):  # fmt: skip
-    app.command()(make_command(command))
-for name, command in store_commands.COMMANDS.items():
-    store.command(name)(make_command(command))
-for name, command in library_commands.COMMANDS.items():
-    library.command(name)(make_command(command))
-app.command("app")(make_command(serve_app))
-app.add_typer(library, name="library")
-app.add_typer(store, name="store")
-app.command()(make_command(doctor))
 
 
 def main() -> None:

@@ -1,17 +1,21 @@
-"""The registry of plugins, which are found by entry points. A component's class is imported at its first use."""
+"""The registry of plugins, which are found by entry points.
+
+A component's class is imported at its first use, and a command's module when the command runs.
+"""
 
 from __future__ import annotations
 
 import importlib
+import inspect
 import logging
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from inspect import isabstract
 from typing import Any
 
 import pluggy
@@ -32,6 +36,7 @@ from tactile_loc.slots.interface import INTERFACE_VERSION, explain_version, requ
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
 KINDS = (*SLOTS, "touch-source", "method")  # a benchmark combines sources of touches with methods
+COMMAND_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
@@ -55,9 +60,29 @@ class ComponentSpec:
     interface: int = 1
 
 
+@dataclass(frozen=True)
+class CommandSpec:
+    """One command of `tactile-loc`, or one group of commands.
+
+    `summary` is the command's line in `tactile-loc --help`. `target` is "package.module:function", or
+    "package.module:application" for a group, whose application is a `typer.Typer`. Its module is imported only when the
+    command runs. `requires` names the pip distribution of a library that the command needs and its package does not.
+    """
+
+    name: str
+    summary: str
+    target: str
+    requires: str = ""
+
+
 @hookspec
 def tactile_loc_components() -> Iterable[ComponentSpec]:  # type: ignore[empty-body]
     """Return the components that this plugin offers."""
+
+
+@hookspec
+def register_commands() -> Iterable[CommandSpec]:  # type: ignore[empty-body]
+    """Return the commands that this plugin adds to `tactile-loc`."""
 
 
 logger = logging.getLogger(__name__)
@@ -75,6 +100,14 @@ class Registered:
 
 
 @dataclass(frozen=True)
+class RegisteredCommand:
+    """A command that a distribution offers."""
+
+    spec: CommandSpec
+    distribution: str
+
+
+@dataclass(frozen=True)
 class LoadFailure:
     """A plugin that raised an error while it was loaded."""
 
@@ -84,10 +117,14 @@ class LoadFailure:
 
 
 class Registry:
-    """All components found. A plugin that fails to load is kept as a failure and does not affect the others."""
+    """All components and commands found.
+
+    A plugin that fails to load is kept as a failure and does not affect the others.
+    """
 
     def __init__(self, plugins: Iterable[EntryPoint]) -> None:
         self.components: list[Registered] = []
+        self.commands: list[RegisteredCommand] = []
         self.failures: list[LoadFailure] = []
         self._kinds: dict[ComponentSpec, Any] = {}
         for plugin in plugins:
@@ -100,19 +137,20 @@ class Registry:
             manager.add_hookspecs(sys.modules[__name__])
             manager.register(plugin.load())
             manager.check_pending()
-            offers = [spec for offered in manager.hook.tactile_loc_components() for spec in offered]
-            if not offers:
-                raise TypeError("offers no component: its hook is missing or returns nothing")
-            for spec in offers:
-                if not isinstance(spec, ComponentSpec) or spec.slot not in KINDS:
-                    raise TypeError(f"offers {spec!r}; the slots are {', '.join(KINDS)}")
-                if not isinstance(spec.interface, int) or spec.interface < 1:
-                    raise TypeError(f"offers {spec!r}; its interface must be a whole number, 1 or more")
+            components = [spec for offered in manager.hook.tactile_loc_components() for spec in offered]
+            commands = [spec for offered in manager.hook.register_commands() for spec in offered]
+            if not components and not commands:
+                raise TypeError("offers no component and no command: its hooks are missing or return nothing")
+            for component in components:
+                _require_component_spec(component)
+            for command in commands:
+                _require_command_spec(command)
         except Exception as error:  # noqa: BLE001 - other people's plugins may raise anything
             reason = f"{type(error).__name__}: {error}"
             self.failures.append(LoadFailure(plugin.name, distribution, reason))
         else:
-            self.components += [Registered(spec, distribution) for spec in offers]
+            self.components += [Registered(spec, distribution) for spec in components]
+            self.commands += [RegisteredCommand(spec, distribution) for spec in commands]
 
     def add(self, kind: type[Any], name: str, summary: str = "") -> None:
         """Offer a component class under a name, in this process only. This is for notebooks and short scripts.
@@ -171,29 +209,76 @@ class Registry:
         return self._kinds[found.spec]
 
     def _import_component(self, found: Registered) -> Any:
-        slot, name = found.spec.slot, found.spec.name
-        module, _, attribute = found.spec.target.partition(":")
-        try:
-            kind = getattr(importlib.import_module(module), attribute)
+        slot = found.spec.slot
+
+        def require(kind: Any) -> None:
             _require_component(kind, slot)
             require_interface(kind, slot)
-            logger.debug("The %s %r is %s of %s.", slot, name, found.spec.target, found.distribution)
-            return kind
-        except Exception as error:
-            if isinstance(error, ModuleNotFoundError) and not _is_part_of(error.name, module):
-                library = shlex.quote(found.spec.requires or error.name or "")
-                raise MissingLibraryError(
-                    f"the {slot} {name!r} needs {error.name}, which is not installed: pip install {library}"
-                ) from error
-            raise PluginLoadError(
-                f"the {slot} {name!r} of {found.distribution} failed on import ({type(error).__name__}: {error}); "
-                "update or uninstall that package, or choose another component"
-            ) from error
+
+        return _import_target(found, f"the {slot} {found.spec.name!r}", require)
+
+    def find_command(self, name: str) -> RegisteredCommand | None:
+        """Return the command with this name; None if there is none. Raises PluginConflictError if there are two."""
+        found = [c for c in self.commands if c.spec.name == name]
+        if len(found) > 1:
+            raise PluginConflictError(
+                f"two packages offer the command {name!r}: {found[0].distribution} and {found[1].distribution}; "
+                "uninstall one, or choose with TACTILE_LOC_PLUGINS"
+            )
+        return found[0] if found else None
+
+    def load_command(self, found: RegisteredCommand) -> Any:
+        """Import and return a command's function or typer application.
+
+        Raises PluginLoadError or MissingLibraryError.
+        """
+        return _import_target(found, f"the command {found.spec.name!r}", _require_command)
 
     def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
         """Return a component with validated options. Raises ConfigError for unknown or invalid options."""
         kind = self.load(slot, name)
         return kind(validate_options(kind.Options, options or {}, f"the {slot} {name!r}"))
+
+
+def _import_target(found: Registered | RegisteredCommand, what: str, require: Callable[[Any], None]) -> Any:
+    """Import and return the target of a spec, which `require` checks. `what` names the target in messages."""
+    module, _, attribute = found.spec.target.partition(":")
+    try:
+        target = getattr(importlib.import_module(module), attribute)
+        require(target)
+        logger.debug("%s is %s of %s.", what.capitalize(), found.spec.target, found.distribution)
+        return target
+    except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and not _is_part_of(error.name, module):
+            library = shlex.quote(found.spec.requires or error.name or "")
+            raise MissingLibraryError(
+                f"{what} needs {error.name}, which is not installed: pip install {library}"
+            ) from error
+        alternative = "component" if isinstance(found, Registered) else "command"
+        raise PluginLoadError(
+            f"{what} of {found.distribution} failed on import ({type(error).__name__}: {error}); "
+            f"update or uninstall that package, or choose another {alternative}"
+        ) from error
+
+
+def _require_component_spec(spec: Any) -> None:
+    """Raise TypeError unless this is the spec of a component."""
+    if not isinstance(spec, ComponentSpec) or spec.slot not in KINDS:
+        raise TypeError(f"offers {spec!r}; the slots are {', '.join(KINDS)}")
+    if not isinstance(spec.interface, int) or spec.interface < 1:
+        raise TypeError(f"offers {spec!r}; its interface must be a whole number, 1 or more")
+
+
+def _require_command_spec(spec: Any) -> None:
+    """Raise TypeError unless this is the spec of a command."""
+    if not isinstance(spec, CommandSpec) or not COMMAND_NAME.fullmatch(spec.name):
+        raise TypeError(f"offers {spec!r}; a command needs a CommandSpec, whose name is lower-case words with hyphens")
+
+
+def _require_command(target: Any) -> None:
+    """Raise TypeError unless a command's target is a function or a typer application."""
+    if not (inspect.isfunction(target) or hasattr(target, "registered_commands")):
+        raise TypeError(f"{target!r} is not a function or a typer application")
 
 
 def _is_part_of(missing: str | None, module: str) -> bool:
@@ -208,7 +293,7 @@ def _require_component(kind: Any, slot: str) -> None:
 
     if not (isinstance(kind, type) and issubclass(kind, Component) and getattr(kind, "slot", None) == slot):
         raise TypeError(f"{kind!r} does not derive from the {slot} interface")
-    if isabstract(kind):
+    if inspect.isabstract(kind):
         raise TypeError(f"{kind.__name__} does not implement {', '.join(sorted(kind.__abstractmethods__))}")
 
 
@@ -277,10 +362,10 @@ def _name_type(annotation: Any) -> str:
 
 @lru_cache(maxsize=1)
 def registry() -> Registry:
-    """Return the process's registry: the built-in components, and all others that TACTILE_LOC_PLUGINS allows.
+    """Return the process's registry: what is built in, and all other plugins that TACTILE_LOC_PLUGINS allows.
 
     TACTILE_LOC_PLUGINS is a comma-separated list of entry-point or distribution names. If it is not set, all plugins
-    are allowed. If it is empty, only the built-in components are allowed.
+    are allowed. If it is empty, none is allowed.
     """
     found = list(entry_points(group=PROJECT))
     wanted = os.environ.get("TACTILE_LOC_PLUGINS")

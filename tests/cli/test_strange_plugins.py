@@ -1,12 +1,15 @@
-"""Third-party plugins: missing libraries, failures, and equal names."""
+"""Third-party components and commands: missing libraries, failures, and equal names."""
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 import pytest
 from cli_helpers import TINY, assert_one_error
 from message_helpers import missing
+from tactile_loc_cli import ANNEXES
 
 HOOK = """
 from tactile_loc.slots.registry import ComponentSpec, hookimpl
@@ -73,6 +76,76 @@ def test_a_name_conflict_names_both_distributions(install, run_process):
     alone = run_process("plugins", "refiner", PYTHONPATH=site, TACTILE_LOC_PLUGINS="first-twin")
     assert "first-twin" in alone.stdout
     assert "second-twin" not in alone.stdout
+
+
+COMMAND_HOOK = """
+from tactile_loc.plugin import CommandSpec, hookimpl
+
+@hookimpl
+def register_commands():
+    return [CommandSpec({name!r}, "Greet.", "{module}_parts:{target}", {requires!r})]
+"""
+GREET = """
+from typing import Annotated
+import typer
+from tactile_loc.commands import Finding, declare, say
+from tactile_loc.plugin import ConfigError
+
+application = typer.Typer()
+
+@application.command()
+def greet(name: Annotated[str, declare("--name", "NAME", "Who is greeted.")] = "all", fail: bool = False):
+    \"\"\"Greet.\"\"\"
+    if fail:
+        raise ConfigError("nobody is there")
+    say(f"hello {name}")
+    return {"greeted": name}
+"""
+
+
+def command_hook(name: str, module: str, target: str = "greet", requires: str = "") -> str:
+    return COMMAND_HOOK.format(name=name, module=module, target=target, requires=requires)
+
+
+def test_a_command_of_a_package_behaves_like_a_built_in_one(install, run_process):
+    install("polite", command_hook("greet", "polite"), GREET)
+    site = install("grouped", command_hook("social", "grouped", "application"), GREET)
+    listed = run_process("--help", PYTHONPATH=site).stdout
+    assert re.search(r"^Commands of polite:\n  greet  Greet.$", listed, re.MULTILINE)
+    assert run_process("greet", "--name", "you", PYTHONPATH=site).stdout == "hello you\n"
+    assert json.loads(run_process("social", "greet", "--json", PYTHONPATH=site).stdout) == {"greeted": "all"}
+    failed = run_process("greet", "--fail", "--json", PYTHONPATH=site)
+    assert_one_error(failed.stderr, failed.returncode, "nobody is there")
+    assert json.loads(failed.stdout)["error"]["kind"] == "ConfigError"
+    for words, said in (("greet --nam", "--name"), ("gret", "mean 'greet'"), ("social gret", "mean 'greet'")):
+        wrong = run_process(*words.split(), PYTHONPATH=site)
+        assert_one_error(wrong.stderr, wrong.returncode, said)
+
+
+def test_a_broken_command_is_one_sentence_when_it_is_called(install, run_process):
+    install("half-polite", command_hook("bow", "half_polite"), "1 / 0")
+    install("needy", command_hook("curtsy", "needy", requires="velvet-gloves"), "import velvet")
+    install("first-twin", command_hook("nod", "first_twin"), GREET)
+    install("second-twin", command_hook("nod", "second_twin"), GREET)
+    site = install("broken-one", "raise RuntimeError('out of order')")
+    assert run_process("--help", PYTHONPATH=site).returncode == 0
+    for command, named in {
+        "bow": ("'bow'", "half-polite", "ZeroDivisionError"),
+        "curtsy": ("'curtsy'", "pip install velvet-gloves"),
+        "nod": ("'nod'", "first-twin", "second-twin"),
+        "wave": ("'wave'", "broken-one", "out of order"),
+    }.items():
+        done = run_process(command, "--json", "x", PYTHONPATH=site)
+        assert_one_error(done.stderr, done.returncode, *named)
+        assert named[-1] in json.loads(done.stdout)["error"]["message"]
+    assert "Traceback" in run_process("bow", "-vv", PYTHONPATH=site).stderr
+
+
+def test_a_missing_annex_is_reported_with_the_command_that_installs_it(cli, monkeypatch):
+    monkeypatch.setitem(ANNEXES, "sing", "tactile-loc-choir")
+    done = cli("sing", "--loud", "--json")
+    assert_one_error(done.stderr, done.exit_code, "'sing'", "pip install ./plugins_contrib/tactile-loc-choir")
+    assert json.loads(done.stdout)["error"]["kind"] == "MissingLibraryError"
 
 
 @pytest.mark.slow

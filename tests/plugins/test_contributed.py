@@ -14,6 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pytest
+import tactile_loc_cli
 from tactile_loc_cli.scaffold.naming import Naming
 from tactile_loc_cli.scaffold.package import render
 
@@ -21,9 +22,13 @@ import tactile_loc
 from tactile_loc.slots.registry import KINDS
 
 CONTRIBUTED = Path(__file__).parents[2] / "plugins_contrib"
-DISTRIBUTIONS = sorted(path.parent.name for path in CONTRIBUTED.glob("*/pyproject.toml"))
+FOUND = sorted(path.parent.name for path in CONTRIBUTED.glob("*/pyproject.toml"))
+# Annexes add commands. They are installed from this tree, and `make test` runs their tests.
+ANNEXES = [name for name in FOUND if name in tactile_loc_cli.ANNEXES.values()]
+WITH_INNER_IMPORTS = {"tactile-loc-app", "tactile-loc-benchmark", "tactile-loc-library"}  # which still have to go
+DISTRIBUTIONS = [name for name in FOUND if name not in ANNEXES]
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plugin"
-PUBLIC = ("tactile_loc.plugin", "tactile_loc.testing")
+PUBLIC = ("tactile_loc.plugin", "tactile_loc.commands", "tactile_loc.testing")
 INSTALL = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install", "--no-index", "--no-deps",
            "--no-build-isolation", "--target"]  # fmt: skip
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", ".*")
@@ -79,7 +84,8 @@ def imported(text: str) -> Iterator[str]:
 
 def private(text: str) -> list[str]:
     """Return a source's imports of tactile-loc beyond the public API, the plugin API and the contract checks."""
-    of_ours = [name for name in imported(text) if re.match(r"tactile_loc(\.|$)", name) or "tactile_loc.plugins" in name]
+    ours = re.compile(r"tactile_loc(_cli)?(\.|$)|.*tactile_loc\.plugins")
+    of_ours = filter(ours.match, imported(text))
     allowed = {"tactile_loc", *(f"tactile_loc.{n}" for n in tactile_loc.__all__), *PUBLIC}
     return [name for name in of_ours if name not in allowed and not name.startswith(tuple(f"{p}." for p in PUBLIC))]
 
@@ -95,9 +101,22 @@ def test_only_the_public_api_is_imported(name):
     assert {str(path): private(path.read_text()) for path in sources if private(path.read_text())} == {}
 
 
+@pytest.mark.parametrize("name", ANNEXES)
+def test_an_annex_imports_only_the_public_api(name):
+    package = CONTRIBUTED / name / name.replace("-", "_")
+    inner = {str(path): private(path.read_text()) for path in package.rglob("*.py") if private(path.read_text())}
+    assert bool(inner) == (name in WITH_INNER_IMPORTS), inner
+
+
+@pytest.mark.parametrize("name", ANNEXES)
+def test_the_readme_of_an_annex_has_the_command_that_installs_it(name):
+    assert f"pip install ./plugins_contrib/{name}" in (CONTRIBUTED / name / "README.md").read_text()
+
+
 @pytest.mark.parametrize(
     "text",
     [
+        "from tactile_loc_cli.console import say",
         "import tactile_loc.plugins.refiners.icp",
         "def f():\n    from tactile_loc.plugins.grids import lattice",
         "from tactile_loc import plugins",

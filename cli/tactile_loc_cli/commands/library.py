@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,6 +45,10 @@ Given = Annotated[
 ]
 
 
+application = typer.Typer()
+
+
+@application.command()
 def build(
     meshes: Meshes,
     given: Given,
@@ -69,6 +72,7 @@ def build(
     return _report(build_library(out, sources, grid, _choose_runner(out, workers, scheduler), make_progress()))
 
 
+@application.command()
 def add(
     library: Library, meshes: Meshes, given: Given, workers: Processes = None, scheduler: Scheduler = None
 ) -> dict[str, Any]:
@@ -83,6 +87,7 @@ def add(
     return _report(add_parts(library, sources, _choose_runner(library, workers, scheduler), make_progress()))
 
 
+@application.command()
 def remove(library: Library, names: Names) -> dict[str, Any]:
     """Remove parts from a library."""
     from tactile_loc.library.folder import LibraryFolder
@@ -92,6 +97,7 @@ def remove(library: Library, names: Names) -> dict[str, Any]:
     return {"library": str(library), "removed": sorted(set(names)), "parts": len(left), "bytes": left.nbytes}
 
 
+@application.command()
 def check(library: Library) -> dict[str, Any]:
     """Verify all checksums of a library, and list the damaged parts and files.
 
@@ -114,6 +120,7 @@ def check(library: Library) -> dict[str, Any]:
     return result
 
 
+@application.command("list")
 def list_parts(library: Library) -> dict[str, Any]:
     """List the parts of a library, with their sizes in mm."""
     from dataclasses import asdict
@@ -131,11 +138,6 @@ def list_parts(library: Library) -> dict[str, Any]:
         "library": str(library), "parts": [asdict(row) for row in opened.rows.values()], "bytes": opened.nbytes,
         "grid": opened.manifest.grid,
     }  # fmt: skip
-
-
-COMMANDS: Mapping[str, Callable[..., dict[str, Any]]] = {
-    "build": build, "add": add, "remove": remove, "check": check, "list": list_parts,
-}  # fmt: skip
 
 
 def _choose_runner(library: Path, workers: int | None, scheduler: str | None) -> RunJobs:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import chain, repeat
@@ -29,6 +29,10 @@ LABEL = "label"  # key under which a stage's label is added to its inputs
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
+application = typer.Typer()
+
+
+@application.command("list")
 def list_store(store: Store = None) -> dict[str, Any]:
     """List the stages in the store by object, the newest last.
 
@@ -65,6 +69,7 @@ def _write_group(name: str, rows: Sequence[dict[str, Any]]) -> Iterator[list[str
         ]  # fmt: skip
 
 
+@application.command()
 def size(store: Store = None) -> dict[str, Any]:
     """Show the size of the store by stage."""
     place = _open(store)
@@ -85,6 +90,7 @@ def size(store: Store = None) -> dict[str, Any]:
     return {"store": str(place.root), "stages": stages, "entries": len(entries), "bytes": _sum_bytes(entries)}
 
 
+@application.command()
 def prune(
     older_than: Annotated[
         str | None,
@@ -126,9 +132,6 @@ def prune(
     _say_removed(place, removed, dry_run)
     record = {"removed": _record(removed), "left_alone": _record([*busy, *kept])}
     return {"store": str(place.root), "dry_run": dry_run, **record, "bytes": _sum_bytes(removed)}
-
-
-COMMANDS: Mapping[str, Callable[..., dict[str, Any]]] = {"list": list_store, "size": size, "prune": prune}
 
 
 def _open(store: Store) -> StageStore:

@@ -1,10 +1,16 @@
-"""Shared fixtures: small objects with known sizes, cameras, a store, result folders, and the folder of larger data."""
+"""Fixtures of all tests, also those of the annexes in plugins_contrib.
+
+They are small objects with known sizes, cameras, a store, result folders, the command line, and the folder of larger
+data.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import gc
+import math
 import os
+import subprocess
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -14,7 +20,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import trimesh
+from cli_helpers import HANGS_S, Cli, command
 from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_recall, write_run, write_sweep
+from tactile_loc_cli import console
+from tactile_loc_cli.main import app
+from typer.testing import CliRunner
 
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
@@ -36,8 +46,8 @@ from tactile_loc.view import pictures, pose_panel, raytracing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STORE = Path(__file__).parent / "store"
-SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+STORE = Path(__file__).parent / "tests" / "store"
+SHARED_DATA = Path(__file__).parents[1] / "shared" / "data"
 
 # Several processes run small tests at once, so more library threads would only compete for the cores.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -146,10 +156,46 @@ def arranged_pictures() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def quick_machine() -> Iterator[None]:
+    """Write no lines of progress, which a busy machine would add to stderr."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(console, "EVERY_S", math.inf)
+        yield
+
+
 @pytest.fixture(scope="session")
-def store(tmp_path_factory: pytest.TempPathFactory) -> StageStore:
-    """One stage store for the whole session, so that models are built once."""
-    return StageStore(tmp_path_factory.mktemp("store"))
+def store_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of one store for the whole session, so that models are built once."""
+    return tmp_path_factory.mktemp("store")
+
+
+@pytest.fixture(scope="session")
+def store(store_folder: Path) -> StageStore:
+    """The store of the whole session."""
+    return StageStore(store_folder)
+
+
+@pytest.fixture
+def cli(store_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Cli:
+    """Run the command in this process, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TACTILE_LOC_STORE", str(store_folder))
+    return lambda *words: CliRunner().invoke(app, [*map(str, words)], prog_name="tactile-loc")
+
+
+@pytest.fixture
+def run_process(store_folder: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run the command in one or several separate processes; keywords are environment variables."""
+
+    def run(*words: object, processes: int = 1, **environment: str) -> subprocess.CompletedProcess[str]:
+        line = command(*words)
+        if processes > 1:
+            line[1:1] = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
+        variables = {**os.environ, "TACTILE_LOC_STORE": str(store_folder), **environment}
+        return subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=HANGS_S)
+
+    return run
 
 
 @pytest.fixture(scope="session")
@@ -248,6 +294,7 @@ def unfriendly_run(localizer: Localizer, tmp_path_factory: pytest.TempPathFactor
 
 @pytest.fixture(scope="session")
 def evaluation_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An evaluation, with random results."""
     return write_evaluation(tmp_path_factory.mktemp("evaluation"))
 
 
@@ -259,11 +306,13 @@ def recall_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def contacts_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An evaluation of several contacts together, with random results."""
     return write_contacts(tmp_path_factory.mktemp("contacts"))
 
 
 @pytest.fixture(scope="session")
 def sweep_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep, with random results."""
     return write_sweep(tmp_path_factory.mktemp("sweep"))
 
 

@@ -1,0 +1,45 @@
+"""What packages with commands share: options, output on the terminal, failures and workers.
+
+A package that adds commands to `tactile-loc` imports this module in the modules of its commands. It declares the
+commands with `CommandSpec` and `hookimpl` of `tactile_loc.plugin`. Names are imported at their first use.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tactile_loc.core.runtime.lazy import lazy_names
+
+if TYPE_CHECKING:
+    # options: a parameter of type Annotated[RunOptions, Takes("object", ...)] becomes the options named there
+    from tactile_loc_cli.console import complain as complain
+    from tactile_loc_cli.console import format_count as format_count
+    from tactile_loc_cli.console import make_progress as make_progress
+    from tactile_loc_cli.console import say as say
+    from tactile_loc_cli.console import say_table as say_table
+    from tactile_loc_cli.console import say_written as say_written
+
+    # failures: a TactileLocError ends the command with exit code 2, a Finding with a result and an exit code
+    from tactile_loc_cli.failures import NOT_AS_REQUIRED as NOT_AS_REQUIRED
+    from tactile_loc_cli.failures import UNEXPECTED as UNEXPECTED
+    from tactile_loc_cli.failures import USAGE_ERROR as USAGE_ERROR
+    from tactile_loc_cli.failures import Finding as Finding
+    from tactile_loc_cli.options import Report as Report
+    from tactile_loc_cli.options import Require as Require
+    from tactile_loc_cli.options import RunOptions as RunOptions
+    from tactile_loc_cli.options import Store as Store
+    from tactile_loc_cli.options import Takes as Takes
+    from tactile_loc_cli.options import declare as declare
+    from tactile_loc_cli.options import make_config as make_config
+    from tactile_loc_cli.options import open_localizer as open_localizer
+    from tactile_loc_cli.options import read_touches as read_touches
+
+    # workers of commands that run many jobs
+    from tactile_loc_cli.workers import Processes as Processes
+    from tactile_loc_cli.workers import Scheduler as Scheduler
+    from tactile_loc_cli.workers import choose_workers as choose_workers
+
+    # results go to stdout, all else to stderr; with --json, only the dictionary that a command returns is written
+    from tactile_loc.core.runtime.formatting import format_bytes as format_bytes
+
+__all__, __getattr__, __dir__ = lazy_names(__name__)
