@@ -26,7 +26,7 @@ from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.planning.hand_eye import FlangeTouches, calibrate_hand_eye
+from tactile_loc.planning.hand_eye_calibration import FlangeTouches, calibrate_hand_eye
 from tactile_loc.simulate.touch_simulation import simulate_touches
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore

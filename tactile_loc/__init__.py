@@ -58,9 +58,9 @@ if TYPE_CHECKING:
     from tactile_loc.planning.approaches import draw_approaches_to_modes as draw_approaches_to_modes
     from tactile_loc.planning.clearance import Clearance as Clearance
     from tactile_loc.planning.clearance import make_box_finger as make_box_finger
-    from tactile_loc.planning.hand_eye import FlangeTouches as FlangeTouches
-    from tactile_loc.planning.hand_eye import HandEyeCalibration as HandEyeCalibration
-    from tactile_loc.planning.hand_eye import calibrate_hand_eye as calibrate_hand_eye
+    from tactile_loc.planning.hand_eye_calibration import FlangeTouches as FlangeTouches
+    from tactile_loc.planning.hand_eye_calibration import HandEyeCalibration as HandEyeCalibration
+    from tactile_loc.planning.hand_eye_calibration import calibrate_hand_eye as calibrate_hand_eye
     from tactile_loc.planning.next_step import suggest_next_step as suggest_next_step
     from tactile_loc.planning.next_touch import NextTouch as NextTouch
     from tactile_loc.planning.next_touch import RatedApproach as RatedApproach

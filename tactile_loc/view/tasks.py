@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.planning.hand_eye import HandEyeCalibration
+from tactile_loc.planning.hand_eye_calibration import HandEyeCalibration
 from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.view.pictures import add_panels, draw_contact_shape, make_figure
 

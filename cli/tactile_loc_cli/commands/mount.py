@@ -51,7 +51,7 @@ def mount(
     T_base_flange for each touch.
     """
     from tactile_loc.io.mount_files import read_mount, write_mount
-    from tactile_loc.planning.hand_eye import calibrate_hand_eye, make_hand_eye_record, read_flange_touches
+    from tactile_loc.planning.hand_eye_calibration import calibrate_hand_eye, make_hand_eye_record, read_flange_touches
     from tactile_loc.view.pictures import save_figure
     from tactile_loc.view.tasks import draw_hand_eye
     from tactile_loc_cli.results import say_mount

@@ -19,7 +19,7 @@ from tactile_loc.io.mount_files import Mount, read_mount, write_mount
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Hypothesis
 from tactile_loc.planning import mount
-from tactile_loc.planning.hand_eye import (
+from tactile_loc.planning.hand_eye_calibration import (
     FlangeTouches,
     calibrate_hand_eye,
     make_hand_eye_record,
