@@ -18,7 +18,7 @@ from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.io.mount_files import Mount, read_mount, write_mount
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Hypothesis
-from tactile_loc.planning import mount
+from tactile_loc.planning import hand_eye_calibration as module
 from tactile_loc.planning.hand_eye_calibration import (
     FlangeTouches,
     calibrate_hand_eye,
@@ -72,7 +72,7 @@ def test_a_nominal_mount_excludes_other_mounts(box, truth):
     S = poses(COUNT, 0.02, rng)
     F, hypotheses = Y @ invert(S) @ invert(X), hypotheses_of(S, box, rng)
     allowed = [
-        lambda T, N=N: mount._is_near(T, N)
+        lambda T, N=N: module._is_near(T, N)
         for N in (X @ make_translation([0.01, 0, 0]), X @ make_translation([0.1, 0, 0]))
     ]
     near, far = (list_hand_eye_starts(F, hypotheses, PoseMetric(box), 1, some) for some in allowed)
@@ -106,7 +106,7 @@ def case(store, truth):
     localizer = Localizer.create("pin", sensor="gelsight-mini", store=store)
     made = Case(localizer, truth)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mount, "_locate", made.located)
+        patch.setattr(module, "_locate", made.located)
         yield made
 
 
