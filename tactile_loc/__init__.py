@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import Touch as Touch
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
     from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
+    from tactile_loc.evaluation.sweep.plan import Plan as Plan
+    from tactile_loc.evaluation.sweep.results import write_sweep as write_sweep
+    from tactile_loc.evaluation.sweep.sweep import run_sweep as run_sweep
+    from tactile_loc.evaluation.workers import LocalWorkers as LocalWorkers
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches
     from tactile_loc.io.config import RunConfig as RunConfig
@@ -66,10 +70,6 @@ if TYPE_CHECKING:
     from tactile_loc.planning.next_touch import RatedApproach as RatedApproach
     from tactile_loc.planning.next_touch import choose_next_touch as choose_next_touch
     from tactile_loc.store.store import StageStore as StageStore
-    from tactile_loc.sweeps.plan import Plan as Plan
-    from tactile_loc.sweeps.results import write_sweep as write_sweep
-    from tactile_loc.sweeps.sweep import run_sweep as run_sweep
-    from tactile_loc.sweeps.workers import LocalWorkers as LocalWorkers
     from tactile_loc.tasks.identify import Identification as Identification
     from tactile_loc.tasks.identify import KnownObject as KnownObject
     from tactile_loc.tasks.identify import identify as identify

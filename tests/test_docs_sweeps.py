@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from tactile_loc.sweeps.plan import Plan, find_varied_options, split_all
-from tactile_loc.sweeps.sweep import IDENTITY, MOMENTARY, list_columns
+from tactile_loc.evaluation.sweep.plan import Plan, find_varied_options, split_all
+from tactile_loc.evaluation.sweep.sweep import IDENTITY, MOMENTARY, list_columns
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "sweeps.md").read_text()

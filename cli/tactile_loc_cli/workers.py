@@ -9,7 +9,7 @@ from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc_cli.options import declare
 
 if TYPE_CHECKING:
-    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers
+    from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers
 
 Processes = Annotated[int | None, declare("--workers", "N", "Local processes. Default: one for each core.", min=1)]
 Threads = Annotated[
@@ -27,7 +27,7 @@ def choose_workers(
 
     Raises ConfigError if local processes or threads are given with a scheduler.
     """
-    from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers, count_cores
+    from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers, count_cores
 
     if scheduler is None:
         return LocalWorkers(processes or count_cores(), threads or 1, out / "workers.log")

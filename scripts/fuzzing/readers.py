@@ -14,6 +14,9 @@ from fuzzing import corpora
 from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import TactileLocError
+from tactile_loc.evaluation.sweep.comparison import compare, format_texts
+from tactile_loc.evaluation.sweep.plan import Plan, name_choices
+from tactile_loc.evaluation.sweep.results import read_sweep
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import load_object
@@ -31,9 +34,6 @@ from tactile_loc.sensors.calibration.frames import read_frames
 from tactile_loc.sensors.calibration.presses import convert, read_presses
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
-from tactile_loc.sweeps.comparison import compare, format_texts
-from tactile_loc.sweeps.plan import Plan, name_choices
-from tactile_loc.sweeps.results import read_sweep
 
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
 SETS = {"gs_sdk": "gs_sdk", "taxim": "taxim/pack.npz", "fots": "fots", "circles": "circles"}

@@ -17,11 +17,11 @@ from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.core.runtime.limits import list_values, require_table
 from tactile_loc.evaluation.recall.bop import write_bop
 from tactile_loc.evaluation.recall.tables import format_share
+from tactile_loc.evaluation.sweep.results import write_parquet
+from tactile_loc.evaluation.sweep.sweep import require_tables
 from tactile_loc.evaluation.tabular import Table, format_json, format_markdown, write_texts
 from tactile_loc.io.streams.records import read_document
 from tactile_loc.reports.page import name_damage
-from tactile_loc.sweeps.results import write_parquet
-from tactile_loc.sweeps.sweep import require_tables
 
 HEAD = (
     "source", "touches", "method", "within 0.5 mm", "1 mm (95 % interval)", "2 mm", "5 mm", "any listed, 1 mm",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
@@ -25,12 +24,11 @@ from tactile_loc.benchmark.suite import Suite
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.evaluation.jobs import JobOutcome, QueuedJob, Workers, resume_jobs
+from tactile_loc.evaluation.sweep.sweep import require_tables
 from tactile_loc.io.streams.records import read_versions
 from tactile_loc.store.files import require_writable
 from tactile_loc.store.keys import hash_shortly
-from tactile_loc.sweeps.finished import FinishedRows
-from tactile_loc.sweeps.sweep import Workers, require_tables
-from tactile_loc.sweeps.workers import BuildJournal, Outcome
 
 ROW_VERSION = 2  # increase it if the same method gets other rows
 
@@ -43,7 +41,7 @@ class Cell:
     object: str
     method: PreparedMethod
     job: LocatingJob
-    outcome: Outcome | None = None
+    outcome: JobOutcome | None = None
 
     @property
     def names(self) -> dict[str, str]:
@@ -119,19 +117,19 @@ def run_benchmark(
     """
     require_tables("a benchmark", "benchmark")
     require_writable(out)
-    progress, kept = progress or Progress(), FinishedRows(out)
-    kept.tidy()
+    progress = progress or Progress()
     sources, methods = _prepare(suite, store, progress)
     cells = list(_list_cells(suite, sources, methods, store))
     if not cells:
         problems = "; ".join(f"{label}: {why}" for label, why in find_problems(sources, methods).items())
         raise ConfigError(f"the suite {suite.name!r} has no source and method that can be used: {problems}")
-    outcomes = {key: outcome for cell in cells if (outcome := kept.read_successful(key := cell.job.key)) is not None}
-    missing = [cell for cell in _order_for_running(cells) if cell.job.key not in outcomes]
-    if missing:
-        outcomes |= _run(missing, store, workers, kept, progress, len(outcomes))
-    done = [dataclasses.replace(cell, outcome=outcomes[cell.job.key]) for cell in cells]
-    return Benchmark(suite, sources, methods, done, len(missing))
+    queue = [
+        QueuedJob(cell.job, cell.source.objects[cell.object], cell.name, cell.names)
+        for cell in _order_for_running(cells)
+    ]
+    outcomes, done = resume_jobs("benchmark", queue, out, workers, progress)
+    ended = [dataclasses.replace(cell, outcome=outcomes[cell.job.key]) for cell in cells]
+    return Benchmark(suite, sources, methods, ended, done)
 
 
 def _prepare(suite: Suite, store: Path, progress: Progress) -> tuple[list[PreparedSource], list[PreparedMethod]]:
@@ -177,22 +175,3 @@ def _order_for_running(cells: Sequence[Cell]) -> list[Cell]:
     """Return the cells in an order in which neighbours seldom need the same touches or models."""
     order = {label: number for number, label in enumerate(dict.fromkeys(cell.names["method"] for cell in cells))}
     return sorted(cells, key=lambda cell: order[cell.names["method"]])
-
-
-def _run(
-    missing: Sequence[Cell], store: Path, workers: Workers, kept: FinishedRows, progress: Progress, before: int
-) -> Mapping[str, Outcome]:
-    by_key = {cell.job.key: cell for cell in missing}
-    objects = {key: cell.source.objects[cell.object] for key, cell in by_key.items()}
-    outcomes: dict[str, Outcome] = {}
-    running = workers.run_jobs([cell.job for cell in missing], objects)
-    with progress.task("benchmark", before + len(missing)) as advance, closing(running):
-        advance(before)
-        for outcome in running:
-            cell = by_key[outcome.key]
-            kept.write(outcome, cell.names)
-            BuildJournal.forget(store, outcome.key)
-            outcomes[outcome.key] = outcome
-            progress.note(cell.name)
-            advance(1)
-    return outcomes

@@ -13,15 +13,15 @@ from bench_parts import BOX_CORNERS_M, BOX_FACES
 from tactile_loc.benchmark.runner import Benchmark, run_benchmark
 from tactile_loc.benchmark.suite import Suite
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.sweeps.workers import Job, Outcomes, evaluate_job
+from tactile_loc.evaluation.jobs import Job, JobOutcomes, do_job
 
 
 class InProcess:
     """Workers that do the jobs in this process."""
 
-    def run_jobs(self, jobs: Sequence[Job[ObjectModel]], objects: Mapping[str, ObjectModel]) -> Outcomes:
+    def run_jobs(self, jobs: Sequence[Job[ObjectModel]], objects: Mapping[str, ObjectModel]) -> JobOutcomes:
         for job in jobs:
-            yield evaluate_job(job, objects[job.key])
+            yield do_job(job, objects[job.key])
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -15,9 +15,9 @@ from tactile_loc.benchmark import job, suite
 from tactile_loc.benchmark.prepare import load_objects, prepare_source
 from tactile_loc.benchmark.runner import run_benchmark
 from tactile_loc.core.runtime.errors import ConfigError, OutputError
+from tactile_loc.evaluation.jobs import do_job
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_code
-from tactile_loc.sweeps.workers import evaluate_job
 
 
 def drop_times(rows):
@@ -118,7 +118,7 @@ def test_a_worker_with_other_code_does_no_job(make_suite, bench_store, tmp_path)
     class Elsewhere:
         def run_jobs(self, jobs, objects):
             other = {**jobs[0].code, "method": "older"}
-            yield evaluate_job(replace(jobs[0], code=other), objects[jobs[0].key])
+            yield do_job(replace(jobs[0], code=other), objects[jobs[0].key])
 
     found = run_benchmark(make_suite(method=["guess"]), tmp_path, bench_store, Elsewhere())
     assert not missing(found.failed[0].error, "worker", "install the same versions")

@@ -15,11 +15,11 @@ import pytest
 from library_helpers import FEW, NAMES, flip, read_files
 
 from tactile_loc.core.runtime.errors import ConfigError, LibraryError, ObjectError, OutputError
+from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.library import building
 from tactile_loc.library.building import WAITING, PartJob, add_parts, build_library, list_meshes, run_here
 from tactile_loc.library.folder import LibraryFolder
-from tactile_loc.sweeps.workers import DaskWorkers, LocalWorkers
 
 HANGS_S = 600  # generous limit, since a machine may be busy
 

@@ -52,9 +52,9 @@ def benchmark(
     from tactile_loc.benchmark.page import make_benchmark_page, show_sources
     from tactile_loc.benchmark.runner import run_benchmark
     from tactile_loc.benchmark.suite import Suite
+    from tactile_loc.evaluation.sweep.plan import split_all
     from tactile_loc.reports.report import DEFAULT_NAME, write_page
     from tactile_loc.store.store import StageStore
-    from tactile_loc.sweeps.plan import split_all
 
     chosen = Suite.from_toml(suite, data)
     chosen = chosen.select(source and split_all(source), method and split_all(method))

@@ -141,9 +141,9 @@ def list_parts(library: Library) -> dict[str, Any]:
 
 
 def _choose_runner(library: Path, workers: int | None, scheduler: str | None) -> RunJobs:
-    """Return what runs the jobs: this process if one worker is enough, otherwise Dask."""
+    """Return what runs the jobs: this process if one worker is enough, otherwise workers."""
+    from tactile_loc.evaluation.workers import count_cores
     from tactile_loc.library.building import WAITING, run_here
-    from tactile_loc.sweeps.workers import count_cores
 
     if scheduler is None and (workers or count_cores()) == 1:
         return run_here

@@ -16,8 +16,8 @@ from tactile_loc_cli.options import declare, set_option
 from tactile_loc_cli.workers import Processes, Scheduler, Threads, choose_workers
 
 if TYPE_CHECKING:
-    from tactile_loc.sweeps.plan import Plan
-    from tactile_loc.sweeps.sweep import Sweep
+    from tactile_loc.evaluation.sweep.plan import Plan
+    from tactile_loc.evaluation.sweep.sweep import Sweep
 
 DEFAULT_OUT = Path("sweep")
 MOST_SHOWN = 40  # lines of a table
@@ -97,9 +97,9 @@ def sweep(
     values are evaluated in local processes or on a Dask cluster (docs/sweeps.md). All workers share one store. If a
     combination fails, its row holds the error, and the exit code is 1. After an interruption, the same command resumes.
     """
+    from tactile_loc.evaluation.sweep.results import read_sweep, require_line
+    from tactile_loc.evaluation.sweep.sweep import run_sweep
     from tactile_loc.store.store import StageStore
-    from tactile_loc.sweeps.results import read_sweep, require_line
-    from tactile_loc.sweeps.sweep import run_sweep
 
     values = {
         "object": object, "sensor": sensor, "renderer": renderer, "grid": grid, "encoder": encoder, "matcher": matcher,
@@ -130,9 +130,9 @@ def sweep(
 
 def _make_plan(path: Path | None, given: dict[str, Any], units: options.Units | None, symmetry: str | None) -> Plan:
     """Return the plan in the file, with the settings from the command line."""
+    from tactile_loc.evaluation.sweep.plan import Plan, merge_options, read_options, split_all
     from tactile_loc.io.config import COMMAND_LINE
     from tactile_loc.io.toml import read_toml
-    from tactile_loc.sweeps.plan import Plan, merge_options, read_options, split_all
 
     source = COMMAND_LINE if path is None else str(path)
     in_file = {} if path is None else read_toml(path)
@@ -156,8 +156,8 @@ def _make_plan(path: Path | None, given: dict[str, Any], units: options.Units | 
 
 def _check_given(given: dict[str, Any], values: dict[str, Any]) -> None:
     """Raise the errors of the command line before those of the plan's file, whose name they must not have."""
+    from tactile_loc.evaluation.sweep.plan import Plan, read_options
     from tactile_loc.io.config import COMMAND_LINE
-    from tactile_loc.sweeps.plan import Plan, read_options
 
     written, merged = (read_options(one.get("option", []), COMMAND_LINE) for one in (given, values))
     slots = [slot for slot in SLOTS if slot in given or slot in written]
@@ -167,13 +167,12 @@ def _check_given(given: dict[str, Any], values: dict[str, Any]) -> None:
 
 def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     """List the combinations and the missing stages, and return both."""
-    from tactile_loc.sweeps.combination import combine, find_missing_stages
-    from tactile_loc.sweeps.finished import FinishedRows
-    from tactile_loc.sweeps.plan import name_choices
-    from tactile_loc.sweeps.sweep import find_finished
+    from tactile_loc.evaluation.jobs import FinishedJobs
+    from tactile_loc.evaluation.sweep.combination import combine, find_missing_stages
+    from tactile_loc.evaluation.sweep.plan import name_choices
 
     combinations, objects = combine(plan)
-    done = find_finished(combinations, FinishedRows(out))
+    done = FinishedJobs(out).find_successful(one.key for one in combinations)
     missing = [one for one in combinations if one.key not in done]
     stages = find_missing_stages(missing, objects, store)
     labels = name_choices(plan)
@@ -194,7 +193,7 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
 
 def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
     """Write the results of a sweep, show them, and return a summary."""
-    from tactile_loc.sweeps.results import write_sweep
+    from tactile_loc.evaluation.sweep.results import write_sweep
 
     files = write_sweep(out, found, line)
     _say_medians(found, line)
@@ -210,7 +209,7 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
 
 def _say_medians(found: Sweep, line: str) -> None:
     """Show the median errors, best first."""
-    from tactile_loc.sweeps.results import FAILED, pivot
+    from tactile_loc.evaluation.sweep.results import FAILED, pivot
 
     medians = found.compute_medians(line)
     for noise in found.plan.noises:
@@ -227,8 +226,8 @@ def _say_medians(found: Sweep, line: str) -> None:
 
 def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
     """Compare two finished sweeps, and show and return the changes. Raises ConfigError if `old` is None."""
-    from tactile_loc.sweeps.comparison import compare, format_texts, summarise, write_comparison
-    from tactile_loc.sweeps.results import read_sweep
+    from tactile_loc.evaluation.sweep.comparison import compare, format_texts, summarise, write_comparison
+    from tactile_loc.evaluation.sweep.results import read_sweep
 
     if old is None:
         raise ConfigError("no plan is given; give a plan file, or options such as --refiner none,icp")

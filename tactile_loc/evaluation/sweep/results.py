@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from tactile_loc.core.runtime.errors import ConfigError, OutputError, advise_choice
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
+from tactile_loc.evaluation.sweep.figures import draw_effects, draw_error_time
+from tactile_loc.evaluation.sweep.sweep import IDENTITY, Sweep
 from tactile_loc.evaluation.tabular import format_json, format_markdown, write_texts
 from tactile_loc.io.streams.records import read_versions
 from tactile_loc.slots.registry import SLOTS
 from tactile_loc.store.files import read_json, write_atomically
-from tactile_loc.sweeps.figures import draw_effects, draw_error_time
-from tactile_loc.sweeps.sweep import IDENTITY, Sweep
 from tactile_loc.view.pictures import save_figure
 
 if TYPE_CHECKING:

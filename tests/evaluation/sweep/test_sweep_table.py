@@ -12,9 +12,9 @@ from message_helpers import naming
 
 from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.evaluation.protocol import LINES
+from tactile_loc.evaluation.sweep.results import format_csv, write_parquet
+from tactile_loc.evaluation.sweep.sweep import MOMENTARY, list_columns, make_table, require_tables
 from tactile_loc.slots.registry import SLOTS
-from tactile_loc.sweeps.results import format_csv, write_parquet
-from tactile_loc.sweeps.sweep import MOMENTARY, list_columns, make_table, require_tables
 
 VALUES = {
     "object": ["pin", "head"],

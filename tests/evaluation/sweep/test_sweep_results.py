@@ -8,7 +8,7 @@ import pytest
 from message_helpers import missing, naming
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.sweeps.results import format_summary, read_sweep
+from tactile_loc.evaluation.sweep.results import format_summary, read_sweep
 
 MM = {("pin", "none"): 4.0, ("pin", "icp"): 0.5, ("head", "none"): 2.0, ("head", "icp"): 2.0001}
 

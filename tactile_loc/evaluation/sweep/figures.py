@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.evaluation.figures import COLOURS
+from tactile_loc.evaluation.sweep.plan import find_varying_slots, name_choices
+from tactile_loc.evaluation.sweep.sweep import Sweep, average_all
 from tactile_loc.slots.registry import SLOTS
-from tactile_loc.sweeps.plan import find_varying_slots, name_choices
-from tactile_loc.sweeps.sweep import Sweep, average_all
 from tactile_loc.view.pictures import group_nearby, make_figure
 
 if TYPE_CHECKING:

@@ -17,17 +17,17 @@ from pandas.testing import assert_frame_equal
 
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
 from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.evaluation.jobs import JOURNALS, FinishedJobs, JobOutcome, do_job
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.sweep.combination import combine
+from tactile_loc.evaluation.sweep.plan import Plan
+from tactile_loc.evaluation.sweep.results import read_sweep, write_sweep
+from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, make_table, run_sweep
+from tactile_loc.evaluation.workers import ClusterError, DaskWorkers, LocalWorkers
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
-from tactile_loc.sweeps.combination import combine
-from tactile_loc.sweeps.finished import FinishedRows
-from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.results import read_sweep, write_sweep
-from tactile_loc.sweeps.sweep import MOMENTARY, Row, Sweep, make_table, run_sweep
-from tactile_loc.sweeps.workers import JOURNALS, ClusterError, DaskWorkers, LocalWorkers, Outcome, evaluate_job
 
 distributed = pytest.importorskip("distributed")
 
@@ -54,7 +54,7 @@ class Here:
 
     def run_jobs(self, jobs, objects):
         for job in jobs:
-            yield evaluate_job(job, objects[job.key])
+            yield do_job(job, objects[job.key])
 
 
 @pytest.fixture(scope="module")
@@ -201,7 +201,7 @@ def test_an_unwritable_folder_is_refused_before_the_run(plan, tmp_path):
 
 @pytest.mark.parametrize("where", ["nowhere", "tcp://127.0.0.1:1"])
 def test_a_missing_cluster_gives_an_error(plan, tmp_path, where, monkeypatch):
-    monkeypatch.setattr("tactile_loc.sweeps.workers.CONNECT_S", 1)
+    monkeypatch.setattr("tactile_loc.evaluation.workers.CONNECT_S", 1)
     with pytest.raises(ClusterError, match=naming("Dask", where)):
         run_sweep(plan, tmp_path, tmp_path, DaskWorkers(where))
 
@@ -216,9 +216,9 @@ def test_a_missing_dask_gives_an_error_with_the_package_to_install(plan, tmp_pat
 
 def test_a_row_is_stored_and_read_back(tmp_path):
     (one,), _ = combine(Plan.from_values({"object": "pin", "noise": "mild"}))
-    kept = FinishedRows(tmp_path / "out")
+    kept = FinishedJobs(tmp_path / "out")
     assert kept.read(one.key) is None
-    outcome = Outcome(one.key, {"total_ms": 0.1}, ("grid 1", "bank 2"))
+    outcome = JobOutcome(one.key, {"total_ms": 0.1}, ("grid 1", "bank 2"))
     kept.write(outcome, {"configuration": one.describe()})
     assert kept.read(one.key) == outcome
     record = json.loads((tmp_path / "out" / "rows" / f"{one.key}.json").read_text())
@@ -229,17 +229,17 @@ def test_a_row_is_stored_and_read_back(tmp_path):
 
 def test_a_traceback_is_stored_and_removed_after_a_success(tmp_path):
     (one,), _ = combine(Plan.from_values({"object": "pin"}))
-    kept = FinishedRows(tmp_path)
-    kept.write(Outcome(one.key, None, (), "ValueError: no", "Traceback ...\nValueError: no"), {})
+    kept = FinishedJobs(tmp_path)
+    kept.write(JobOutcome(one.key, None, (), "ValueError: no", "Traceback ...\nValueError: no"), {})
     trace = tmp_path / "errors" / f"{one.key}.txt"
     assert trace.read_text().endswith("ValueError: no")
-    assert kept.read(one.key) == Outcome(one.key, None, (), "ValueError: no")
-    kept.write(Outcome(one.key, {}), {})
+    assert kept.read(one.key) == JobOutcome(one.key, None, (), "ValueError: no")
+    kept.write(JobOutcome(one.key, {}), {})
     assert not trace.exists()
 
 
 def test_an_unreadable_row_counts_as_missing(tmp_path):
-    kept = FinishedRows(tmp_path)
+    kept = FinishedJobs(tmp_path)
     (tmp_path / "rows").mkdir()
     for text in ("", "{", "[]", '{"key": "k"}'):
         (tmp_path / "rows" / "k.json").write_text(text)

@@ -9,8 +9,7 @@ from message_helpers import naming
 
 from tactile_loc.core.runtime.errors import ConfigError, UnknownPluginError
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.config import SlotConfig
-from tactile_loc.sweeps.plan import (
+from tactile_loc.evaluation.sweep.plan import (
     Plan,
     find_varied_options,
     merge_options,
@@ -19,6 +18,7 @@ from tactile_loc.sweeps.plan import (
     split_all,
     split_values,
 )
+from tactile_loc.io.config import SlotConfig
 
 
 def names(plan: Plan, slot: str) -> list[str]:

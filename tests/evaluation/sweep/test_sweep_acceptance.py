@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tactile_loc.sweeps.results import read_sweep
+from tactile_loc.evaluation.sweep.results import read_sweep
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 COMBINATIONS = 1 * 1 * 2 * 2
 
 

@@ -17,23 +17,15 @@ from faulty import install
 from message_helpers import naming
 
 from tactile_loc.core.runtime.errors import UnknownPluginError
+from tactile_loc.evaluation.jobs import JOURNALS, FinishedJobs, do_job
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
+from tactile_loc.evaluation.sweep.combination import COVERAGES, ERRORS, TIMES, CombinationJob, combine, summarise
+from tactile_loc.evaluation.sweep.plan import Plan
+from tactile_loc.evaluation.sweep.sweep import Sweep, run_sweep
+from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers, run_on_dask
 from tactile_loc.io.config import RunConfig
 from tactile_loc.slots.registry import registry
-from tactile_loc.sweeps import workers
-from tactile_loc.sweeps.combination import combine
-from tactile_loc.sweeps.combination_job import COVERAGES, ERRORS, TIMES, CombinationJob, summarise
-from tactile_loc.sweeps.finished import FinishedRows
-from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.sweep import Sweep, run_sweep
-from tactile_loc.sweeps.workers import (
-    JOURNALS,
-    DaskWorkers,
-    LocalWorkers,
-    evaluate_job,
-    replace_lost_workers,
-)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -115,18 +107,18 @@ def test_stages_built_by_a_killed_worker_are_counted(tiny, tmp_path):
     journal.parent.mkdir(parents=True)
     journal.write_text("grid 0123456789abcdef\n")
     job = CombinationJob(one.key, one.config, 1, tmp_path / "store")
-    outcome = evaluate_job(job, objects["pin"])
+    outcome = do_job(job, objects["pin"])
     assert outcome.built[0] == "grid 0123456789abcdef"
     assert outcome.built[1].startswith("grid ")
-    assert evaluate_job(job, objects["pin"]).built == outcome.built, "a second attempt counts the same stages"
-    FinishedRows(tmp_path / "out").write(outcome, {})
+    assert do_job(job, objects["pin"]).built == outcome.built, "a second attempt counts the same stages"
+    FinishedJobs(tmp_path / "out").write(outcome, {})
     run_sweep(plan, tmp_path / "out", tmp_path / "store", LocalWorkers(1, 1, tmp_path / "workers.log"))
     assert list(journal.parent.iterdir()) == []
 
 
 def test_a_worker_with_other_versions_refuses_the_job(tiny, tmp_path):
     (one,), objects = combine(Plan.from_values({**tiny, "object": "pin", "refiner": "none"}))
-    outcome = evaluate_job(CombinationJob("0" * 16, one.config, one.count, tmp_path), objects["pin"])
+    outcome = do_job(CombinationJob("0" * 16, one.config, one.count, tmp_path), objects["pin"])
     assert "versions" in outcome.error
     assert not outcome.trace
 
@@ -141,7 +133,7 @@ def test_a_missing_refiner_is_refused_before_the_run(tiny, tmp_path):
 def cluster(faults):
     distributed = pytest.importorskip("distributed")
     settings = {"n_workers": 2, "processes": True, "threads_per_worker": 1, "dashboard_address": None}
-    with distributed.LocalCluster(**settings) as cluster, replace_lost_workers(cluster, 2):
+    with distributed.LocalCluster(**settings) as cluster:
         yield cluster
 
 
@@ -209,7 +201,7 @@ def test_a_job_whose_result_is_lost_is_awaited_again(tmp_path, monkeypatch):
     )
     job = CombinationJob("key", RunConfig.from_dict({}, "a test"), 1, tmp_path)
     pin = SimpleNamespace(name="pin")
-    assert list(workers._run(client, [job], {"key": pin}, None)) == [(job, "measured again")]
+    assert list(run_on_dask(client, [job], {"key": pin})) == [(job, "measured again")]
 
 
 def evaluation(**posterior_metrics: float) -> Evaluation:

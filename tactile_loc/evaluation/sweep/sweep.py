@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import json
-import logging
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.evaluation.jobs import JobOutcome, QueuedJob, Workers, resume_jobs
+from tactile_loc.evaluation.sweep.combination import (
+    COVERAGES,
+    ERRORS,
+    TIMES,
+    Combination,
+    CombinationJob,
+    combine,
+    order_for_running,
+)
+from tactile_loc.evaluation.sweep.plan import Plan, find_varied_options, find_varying_slots, name_choices
 from tactile_loc.slots.registry import SLOTS
 from tactile_loc.store.files import require_writable
-from tactile_loc.sweeps.combination import Combination, combine, order_for_running
-from tactile_loc.sweeps.combination_job import COVERAGES, ERRORS, TIMES, CombinationJob
-from tactile_loc.sweeps.finished import FinishedRows
-from tactile_loc.sweeps.plan import Plan, find_varied_options, find_varying_slots, name_choices
-from tactile_loc.sweeps.workers import BuildJournal, Job, Outcome, Outcomes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,16 +39,6 @@ WHOLE = ("seed", "count", "grid_poses")
 TEXTS = ("object", *SLOTS, "noise", "error", "key", "built")
 NAMED = ("encoder", "refiner")  # the slots that labels name if no slot varies
 
-log = logging.getLogger(__name__)
-
-
-class Workers(Protocol):
-    """Runs jobs: `LocalWorkers` or `DaskWorkers`."""
-
-    def run_jobs(self, jobs: Sequence[Job[ObjectModel]], objects: Mapping[str, ObjectModel]) -> Outcomes:
-        """Yield the outcome of every job when it ends; `objects` maps each job's key to its object."""
-        ...
-
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
@@ -56,7 +49,7 @@ class Sweep:
 
     plan: Plan
     combinations: Sequence[Combination]
-    outcomes: Mapping[str, Outcome]
+    outcomes: Mapping[str, JobOutcome]
     done: int
 
     @cached_property
@@ -97,9 +90,7 @@ class Sweep:
         return dict(sorted(stages.items()))
 
 
-def run_sweep(
-    plan: Plan, out: Path, store: Path, workers: Workers, progress: Progress | None = None
-) -> Sweep:  # fmt: skip
+def run_sweep(plan: Plan, out: Path, store: Path, workers: Workers, progress: Progress | None = None) -> Sweep:
     """Evaluate every combination of `plan` that has no row in `out`; write each row there when it is finished.
 
     The row of a failed combination states the error, and the next call tries the combination again. All workers share
@@ -108,52 +99,16 @@ def run_sweep(
     require_tables()
     combinations, objects = combine(plan)
     require_writable(out)
-    kept = FinishedRows(out)
-    kept.tidy()
-    outcomes = find_finished(combinations, kept)
-    for key in outcomes:  # a killed sweep may have left the journal of a finished row
-        BuildJournal.forget(store, key)
-    missing = [one for one in order_for_running(combinations) if one.key not in outcomes]
-    if missing:
-        outcomes |= _run(missing, objects, store, workers, kept, progress or Progress(), len(outcomes))
-    return Sweep(plan, combinations, outcomes, len(missing))
-
-
-def find_finished(combinations: Sequence[Combination], kept: FinishedRows) -> dict[str, Outcome]:
-    """Return the outcomes, by key, of the combinations that earlier sweeps evaluated without an error."""
-    found = {one.key: kept.read_successful(one.key) for one in combinations}
-    return {key: outcome for key, outcome in found.items() if outcome is not None}
-
-
-def _run(
-    missing: Sequence[Combination], objects: Mapping[str, ObjectModel], store: Path, workers: Workers,
-    kept: FinishedRows, progress: Progress, before: int,
-) -> dict[str, Outcome]:  # fmt: skip
-    by_key = {one.key: one for one in missing}
-    jobs = [CombinationJob(one.key, one.config, one.count, store) for one in missing]
-    outcomes: dict[str, Outcome] = {}
-    running = workers.run_jobs(jobs, {one.key: objects[one.object] for one in missing})
-    with progress.task("sweep", before + len(jobs)) as advance, closing(running):
-        advance(before)
-        for outcome in running:
-            one = by_key[outcome.key]
-            kept.write(outcome, {"object": one.object, "configuration": one.describe()})
-            BuildJournal.forget(store, outcome.key)
-            outcomes[outcome.key] = outcome
-            _show(progress, advance, by_key[outcome.key], outcomes)
-    return outcomes
-
-
-def _show(
-    progress: Progress, advance: Callable[[int], None], last: Combination, outcomes: Mapping[str, Outcome]
-) -> None:  # fmt: skip
-    """Advance the progress bar, and show the last combination and the number of failures."""
-    failed = sum(bool(outcome.error) for outcome in outcomes.values())
-    names = [last.object, last.config.encoder.name, last.config.refiner.name]
-    text = " ".join([*names, *([f"({failed} failed)"] if failed else [])])
-    log.info("%d combinations are finished; the last was %s.", len(outcomes), text)
-    progress.note(text)
-    advance(1)
+    queue = [
+        QueuedJob(
+            CombinationJob(one.key, one.config, one.count, store),
+            objects[one.object],
+            f"{one.object} {one.config.encoder.name} {one.config.refiner.name}",
+            {"object": one.object, "configuration": one.describe()},
+        )
+        for one in order_for_running(combinations)
+    ]
+    return Sweep(plan, combinations, *resume_jobs("sweep", queue, out, workers, progress))
 
 
 def average_all(values: pd.Series) -> float:
@@ -172,7 +127,7 @@ def list_varied_columns(plan: Plan) -> list[str]:
     return [f"{slot}.{option}" for slot, choices in plan.slots.items() for option in find_varied_options(choices)]
 
 
-def make_rows(plan: Plan, combinations: Iterable[Combination], outcomes: Mapping[str, Outcome]) -> list[Row]:
+def make_rows(plan: Plan, combinations: Iterable[Combination], outcomes: Mapping[str, JobOutcome]) -> list[Row]:
     """Return a row with all columns for each combination, as JSON values; missing values are None."""
     columns, varied = list_columns(plan), list_varied_columns(plan)
     rows = []

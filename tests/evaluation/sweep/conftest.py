@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from tactile_loc.sweeps.combination import Combination, combine
-from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.sweep import MEASURED, Sweep
-from tactile_loc.sweeps.workers import Outcome
+from tactile_loc.evaluation.jobs import JobOutcome
+from tactile_loc.evaluation.sweep.combination import Combination, combine
+from tactile_loc.evaluation.sweep.plan import Plan
+from tactile_loc.evaluation.sweep.sweep import MEASURED, Sweep
 
 SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 
@@ -46,10 +46,10 @@ def made_up() -> Callable[[dict[str, Any], Measure], Sweep]:
         for one in combinations:
             found = measure(one)
             if isinstance(found, str):
-                outcomes[one.key] = Outcome(one.key, None, error=found)
+                outcomes[one.key] = JobOutcome(one.key, None, error=found)
             else:
                 zeros = dict.fromkeys(MEASURED, 0.0)
-                outcomes[one.key] = Outcome(one.key, {"grid_poses": 7, **zeros, **found}, (f"grid {one.key}",))
+                outcomes[one.key] = JobOutcome(one.key, {"grid_poses": 7, **zeros, **found}, (f"grid {one.key}",))
         return Sweep(plan, combinations, outcomes, len(combinations))
 
     return make

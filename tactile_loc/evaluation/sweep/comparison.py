@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.formatting import format_mm
+from tactile_loc.evaluation.sweep.plan import SETTINGS
+from tactile_loc.evaluation.sweep.sweep import IDENTITY
 from tactile_loc.evaluation.tabular import format_markdown, write_texts
 from tactile_loc.slots.registry import SLOTS
-from tactile_loc.sweeps.plan import SETTINGS
-from tactile_loc.sweeps.sweep import IDENTITY
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,7 +7,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.sweeps.figures import (
+from tactile_loc.evaluation.sweep.figures import (
     DIGIT,
     LINE,
     Point,
@@ -19,7 +19,7 @@ from tactile_loc.sweeps.figures import (
     place_labels,
     write_ranges,
 )
-from tactile_loc.sweeps.results import require_line
+from tactile_loc.evaluation.sweep.results import require_line
 
 pytestmark = pytest.mark.usefixtures("arranged_pictures")
 

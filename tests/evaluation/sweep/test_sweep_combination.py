@@ -8,14 +8,20 @@ import pytest
 import trimesh
 
 from tactile_loc.core.runtime.errors import ConfigError, ObjectError, SensorError, UnknownPluginError
+from tactile_loc.evaluation.jobs import do_job
+from tactile_loc.evaluation.sweep import combination as module
+from tactile_loc.evaluation.sweep.combination import (
+    STAGES,
+    CombinationJob,
+    combine,
+    find_missing_stages,
+    list_model_keys,
+    order_for_running,
+)
+from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots import compatibility
 from tactile_loc.store.store import StageStore
-from tactile_loc.sweeps import combination as module
-from tactile_loc.sweeps.combination import STAGES, combine, find_missing_stages, list_model_keys, order_for_running
-from tactile_loc.sweeps.combination_job import CombinationJob
-from tactile_loc.sweeps.plan import Plan
-from tactile_loc.sweeps.workers import evaluate_job
 
 
 def keys(values: dict) -> list[str]:
@@ -117,7 +123,7 @@ def test_the_planned_keys_equal_the_built_keys(tmp_path, tiny, encoder, temperat
     )
     (one,) = combinations
     before = find_missing_stages(combinations, objects, tmp_path)
-    outcome = evaluate_job(CombinationJob(one.key, one.config, one.count, tmp_path), objects["pin"])
+    outcome = do_job(CombinationJob(one.key, one.config, one.count, tmp_path), objects["pin"])
     assert not outcome.error
     built = Counter(name.split()[0] for name in outcome.built)
     assert {**built, "bank": 1} == {stage: count for stage, count in before.items() if count}
