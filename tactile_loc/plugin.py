@@ -102,7 +102,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.places.places import make_patches as make_patches
 
     # for encoders
-    from tactile_loc.core.places.patch_averages import average_patches as average_patches
+    from tactile_loc.core.places.places import average_patches as average_patches
     from tactile_loc.core.places.places import cut_patches as cut_patches
 
     # for encoders that learn

@@ -26,7 +26,7 @@ FILE_ACCESS = {
 }  # fmt: skip
 
 CORE_FILE_ACCESS = {
-    "code_cache.py": {"load", "mkdir", "read_bytes", "rmtree", "unlink"},  # compiled code
+    "code_cache.py": {"mkdir", "read_bytes", "rmtree"},  # compiled code
     "descriptor.py": {"load", "read_bytes"},  # the weights that come with the package
 }
 

@@ -96,7 +96,7 @@ class PartRecord:
 
     def pack(self) -> bytes:
         """Return the record as bytes. Raises MissingLibraryError without pyarrow."""
-        from tactile_loc.core.places.patch_differences import differentiate  # numba takes a while to import
+        from tactile_loc.core.places.places import differentiate  # numba takes a while to import
 
         values = {
             "version": VERSION, "name": self.name, "units": self.units, "symmetry": self.symmetry,
@@ -115,7 +115,7 @@ class PartRecord:
     @classmethod
     def unpack(cls, packed: bytes) -> PartRecord:
         """Return the record that `pack` wrote. Raises LibraryError if the bytes are no record of this version."""
-        from tactile_loc.core.places.patch_differences import integrate  # numba takes a while to import
+        from tactile_loc.core.places.places import integrate  # numba takes a while to import
 
         values, start, body, *_ = read_header(packed)
         length = 12 * (values["vertices"] + values["faces"]) + PATCH_PX**2 * values["places"]

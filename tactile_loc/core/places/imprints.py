@@ -14,6 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.runtime.compiled import njit, run_in_threads
+
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,assignment"
+
 Float32 = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
@@ -44,14 +48,11 @@ def compare_imprints(
     A pixel is in contact if its depth is below the press depth and `observed` (H, W) is True. A pose whose contact does
     not overlap that of the touch has IoUs of 0.
     """
-    from tactile_loc.core.places.imprint_sums import add_imprints
-    from tactile_loc.core.runtime.compiled import run_in_threads  # numba takes a while to import
-
     count = len(made_m)
     made_m, seen_m = np.ascontiguousarray(made_m, np.float32), np.ascontiguousarray(seen_m, np.float32)
     sums = np.empty((count, 5))
     run_in_threads(
-        add_imprints, count, made_m, seen_m, np.float32(press_depth_m), np.ascontiguousarray(observed),
+        _add_imprints, count, made_m, seen_m, np.float32(press_depth_m), np.ascontiguousarray(observed),
         np.float32(OUTLINE_SHARE), np.float32(FAR_OFF_M), sums,
     )  # fmt: skip
     common, either, least, most, off_m = sums.T
@@ -60,3 +61,34 @@ def compare_imprints(
     mean_off_m = off_m / np.maximum(common, 1)
     evidence = IOU_NATS * imprint_ious + AREA_NATS * np.log1p(area_mm2) - DEPTH_NATS * 1e3 * mean_off_m
     return Explained(common / np.maximum(either, 1), imprint_ious, evidence)
+
+
+@njit(fast=True)
+def _add_imprints(first, last, made, seen, press, observed, outline, far, sums):
+    """Fill `sums` (N, 5) for the contact depths `made` (N, H, W) from first to last, and those of a touch (H, W).
+
+    The sums are the number of pixels in contact in both, and in one of them; the smaller of both imprints, and the
+    larger, each as a share of the press depth plus `outline`; and the difference of depths in common contact, metres,
+    at most `far` each.
+    """
+    zero, top = np.float32(0), np.float32(1) + outline
+    scale = np.float32(1) / press
+    for k in range(first, last):
+        common, either, least, most, off = 0, 0, 0.0, 0.0, 0.0
+        for row in range(seen.shape[0]):
+            lower, upper, beside = zero, zero, zero
+            for column in range(seen.shape[1]):
+                if not observed[row, column]:
+                    continue
+                mine, other = made[k, row, column], seen[row, column]
+                touches, touched = mine < press, other < press
+                a = top - mine * scale if touches else zero
+                b = top - other * scale if touched else zero
+                lower += min(a, b)
+                upper += max(a, b)
+                either += touches or touched
+                if touches and touched:
+                    common += 1
+                    beside += min(abs(mine - other), far)
+            least, most, off = least + lower, most + upper, off + beside
+        sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3], sums[k, 4] = common, either, least, most, off

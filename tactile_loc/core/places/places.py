@@ -5,6 +5,8 @@ search over places finds the rest: which point of the object touches first, and 
 patch, which is a height map of the surface around the place. A patch does not depend on the sensor or on the press.
 """
 
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about
+from tactile_loc.core.runtime.compiled import njit, run_in_threads
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 Float32 = NDArray[np.float32]
@@ -78,3 +81,124 @@ def make_patches(rise_m: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
     with np.errstate(invalid="ignore"):
         steps = np.clip(np.rint(rise_m / STEP_M) + BELOW, 0, FAR)
     return np.where(np.isfinite(rise_m), steps, FAR).astype(np.uint8)
+
+
+def average_patches(patches: NDArray[np.uint8], signal: Float32, rows: Float32, columns: Float32) -> Float32:
+    """Return weighted sums of a signal over cells of patches: an array (N, R, C), in the unit of the signal.
+
+    A pixel of the patches (N, H, W) with the value v has the signal (256,) of v. The sums of a patch are `rows` (R, H)
+    @ signals (H, W) @ `columns` (C, W) transposed. A pixel may have a weight in at most two cells, one after the other.
+    High values without signal are skipped, so this is fast if most pixels have them. Raises ValueError if a pixel is
+    in more cells.
+    """
+    of_row, of_column = _split_weights(rows), _split_weights(columns)
+    sums = np.empty((len(patches), len(rows), len(columns)), np.float32)
+    end = int(np.flatnonzero(signal).max(initial=-1)) + 1
+    run_in_threads(_fill_sums, len(patches), np.ascontiguousarray(patches), end, signal, *of_row, *of_column, sums)
+    return sums
+
+
+def _split_weights(weights: Float32) -> tuple[NDArray[np.int64], Float32, Float32]:
+    """Return the first cell of each pixel (P,), and its weights (P,) in this and the next cell, from (cells, P)."""
+    cells, pixels = weights.shape
+    firsts = np.minimum((weights != 0).argmax(axis=0), max(0, cells - 2))
+    here = weights[firsts, np.arange(pixels)]
+    after = weights[firsts + 1, np.arange(pixels)] if cells > 1 else np.zeros_like(here)
+    if np.count_nonzero(weights) > np.count_nonzero(here) + np.count_nonzero(after):
+        raise ValueError("a pixel is in more than two cells, or in two that are apart; average over fewer cells")
+    return firsts.astype(np.int64), here, after
+
+
+@njit(fast=True)
+def _fill_sums(first, last, patches, end, signal, row, row_here, row_after, column, here, after, sums):
+    """Fill `sums` (N, R, C) for the patches (N, H, W) from first to last: see `average_patches`.
+
+    Values from `end` have no signal. `row` (H,), `row_here` (H,) and `row_after` (H,) are the first cell of each pixel
+    row, and its weights in this and the next cell. `column`, `here` and `after` (W,) are the same for pixel columns.
+    """
+    height, width = patches.shape[1], patches.shape[2]
+    line, cells = np.empty(sums.shape[2], np.float32), np.empty(sums.shape[1:], np.float32)
+    for n in range(first, last):
+        cells[:] = np.float32(0)
+        for r in range(height):
+            least = np.uint8(255)
+            for c in range(width):
+                least = min(least, patches[n, r, c])
+            if least >= end:
+                continue
+            line[:] = np.float32(0)
+            for c in range(width):
+                value = patches[n, r, c]
+                if value < end:
+                    line[column[c]] += here[c] * signal[value]
+                    if after[c] != 0:
+                        line[column[c] + 1] += after[c] * signal[value]
+            for j in range(len(line)):
+                cells[row[r], j] += row_here[r] * line[j]
+            if row_after[r] != 0:
+                for j in range(len(line)):
+                    cells[row[r] + 1, j] += row_after[r] * line[j]
+        sums[n] = cells
+
+
+def split_patches(patches: NDArray[np.uint8]) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
+    """Split patches (N, PATCH_PX, PATCH_PX) into two arrays that compress well: see `join_patches`.
+
+    Three of four pixels show no surface. The others differ little from the pixel before.
+    """
+    seen = (patches != FAR).ravel()
+    starts = np.flatnonzero(np.diff(seen, prepend=False))
+    runs = np.diff(starts, prepend=0, append=seen.size).astype(np.uint32)
+    return runs, np.diff(patches.ravel()[seen], prepend=np.uint8(0))
+
+
+def join_patches(runs: NDArray[np.uint32], changes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the patches (N, PATCH_PX, PATCH_PX) that `split_patches` split.
+
+    `runs` are the numbers of consecutive pixels without surface and with surface, in turn, beginning with pixels
+    without surface. `changes` are the differences, modulo 256, between consecutive pixels with surface.
+    """
+    pixels = np.empty(int(runs.sum(dtype=np.int64)), np.uint8)
+    _fill_pixels(runs, changes, pixels)
+    return pixels.reshape(-1, PATCH_PX, PATCH_PX)
+
+
+@njit
+def _fill_pixels(runs, changes, pixels):
+    """Fill `pixels` (P,) from `runs` and `changes`."""
+    pixel, change, value = 0, 0, 0
+    for k in range(len(runs)):
+        end = pixel + runs[k]
+        if k % 2 == 0:
+            pixels[pixel:end] = FAR
+        else:
+            for i in range(pixel, end):
+                value += changes[change]
+                pixels[i] = value & 255
+                change += 1
+        pixel = end
+
+
+def differentiate(patches: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the differences, modulo 256, of patches (N, S, S) along both axes."""
+    zero = np.uint8(0)
+    return np.diff(np.diff(patches, axis=1, prepend=zero), axis=2, prepend=zero)
+
+
+def integrate(differences: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the patches (N, S, S) with these differences along both axes, modulo 256."""
+    patches = np.empty_like(differences)
+    _add_up(differences, patches)
+    return patches
+
+
+@njit
+def _add_up(differences, patches):
+    N, H, W = differences.shape
+    for n in range(N):
+        for i in range(H):
+            total = np.uint8(0)
+            for j in range(W):
+                total = np.uint8(total + differences[n, i, j])
+                above = patches[n, i - 1, j] if i > 0 else np.uint8(0)
+                patches[n, i, j] = np.uint8(total + above)

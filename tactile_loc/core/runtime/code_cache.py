@@ -1,78 +1,84 @@
-"""Folders for compiled code on disk. Each state of a source file and of the code compiled into it has its own folder.
+"""The cache of compiled code on disk. It is valid for one state of all kernel modules.
 
 numba checks only the file of a function. But a function's compiled code contains other functions and constants, which
-may come from other files. A folder's name therefore contains a hash of all of these files and constants, so that
-outdated code is never used. If numba cannot read an index on disk, it ends the program. Unreadable files are therefore
-deleted first.
+may come from other files. So one hash over all kernel modules is part of the cache's folder. A kernel module is a file
+with a line `@njit`. It takes compiled functions and constants from kernel modules of its own package or of tactile_loc.
 """
 
 from __future__ import annotations
 
-import importlib.util
-import io
 import logging
 import os
-import pickle
+import re
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numba
+from numba.core import config, types
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 from tactile_loc.core.runtime.user_cache import find_user_cache
 
 logger = logging.getLogger(__name__)
 
-Folder = Path | None
-
-_HEX = "[0-9a-f]" * 16
-_PICKLES = {".nbi": 2, ".nbc": 1}  # number of pickles in numba's index files and code files
-
-_opened: dict[tuple[Path, str], tuple[tuple[int, int], Folder]] = {}  # time and size, and folder, by source file
+HOUSE = Path(__file__).parents[2]
+_KERNEL = re.compile(rb"^@njit\b", re.MULTILINE)
 
 
-def open_code_folder(function: Callable[..., Any], chosen: str = "") -> Folder:
-    """Return the folder for the compiled code of a function's file. Create it if necessary; delete unreadable files.
+def keep_code(dispatcher: Any) -> Any:
+    """Return a function compiled by numba that keeps its code on disk and reuses it.
 
-    The folder is under `chosen` (NUMBA_CACHE_DIR). If that is empty, the folder is in `__pycache__` beside the file, or
-    else in the user's cache. A file has one folder per process. The folder depends on the names that are defined before
-    the file's first compiled function, so put imports first. The folders for other states of the file are deleted,
-    except the one used last. Returns None if the function is not in a file, or if no folder is writable.
+    The folder is under NUMBA_CACHE_DIR. If that is not set, the folder is in `__pycache__` beside the function's file,
+    or else in the user's cache. If the function is not in a file, or if no folder is writable, the code is not kept.
     """
-    path = Path(function.__code__.co_filename).absolute()
-    if not path.is_file():
-        return None
-    stat = path.stat()
-    stamp = stat.st_mtime_ns, stat.st_size
-    known, folder = _opened.get((path, chosen), (None, None))
-    if known != stamp:
-        folder = _open(path, chosen, *_find_sources(function))
-        _opened[path, chosen] = stamp, folder
-    return folder
+    if _Locator.from_function(dispatcher.py_func, "") is not None:
+        dispatcher._cache = _CodeCache(dispatcher.py_func)
+    return dispatcher
 
 
-def _open(path: Path, chosen: str, files: set[Path], constants: set[str]) -> Folder:
-    try:
-        sources = [f"{file.name} {sha256(file.read_bytes()).hexdigest()}" for file in sorted(files)]
-    except OSError:  # a called function is not in a file
-        return None
-    key = sha256("\n".join([numba.__version__, *sources, *sorted(constants)]).encode()).hexdigest()[:16]
-    for root in _list_roots(path.parent, chosen):
-        folder = root / f"{path.stem}.{key}"
+def hash_kernels(path: Path) -> str:
+    """Return a hash of numba's version and of all kernel modules of tactile_loc and of the package of a file.
+
+    A file outside a package counts alone.
+    """
+    package = path
+    while (package.parent / "__init__.py").exists():
+        package = package.parent
+    found = sha256("\n".join([numba.__version__, _hash_folder(HOUSE), _hash_folder(package)]).encode())
+    return found.hexdigest()[:16]
+
+
+@cache
+def _hash_folder(root: Path) -> str:
+    return sha256("\n".join(sha256(path.read_bytes()).hexdigest() for path in list_kernels(root)).encode()).hexdigest()
+
+
+def list_kernels(root: Path) -> list[Path]:
+    """Return the kernel modules in a folder and its subfolders, or the one file `root`, sorted."""
+    files = sorted(root.rglob("*.py")) if root.is_dir() else [root]
+    return [path for path in files if _KERNEL.search(path.read_bytes())]
+
+
+@cache
+def find_code_folder(source: Path, digest: str, chosen: str) -> Path | None:
+    """Return the folder for the code compiled from files of the folder `source`, or None. Create it if necessary.
+
+    Folders of other digests are deleted, except the one used last, which another process may use.
+    """
+    for root in _list_roots(source, chosen):
+        folder = root / digest
         known = folder.is_dir()
         if _can_write(folder):
-            if known:
-                _delete_unreadable(folder, files)
-            else:
-                _delete_older(root, path.stem, folder)
+            if not known:
+                _delete_older(root, folder)
             return folder
-    logger.warning("code compiled from %s cannot be saved; set NUMBA_CACHE_DIR to a folder that can be written", path)
+    logger.warning("code compiled from %s cannot be saved; set NUMBA_CACHE_DIR to a folder that can be written", source)
     return None
 
 
@@ -98,121 +104,75 @@ def _can_write(folder: Path) -> bool:
     return True
 
 
-def _delete_older(root: Path, stem: str, folder: Path) -> None:
-    """Delete the folders for other states of a file, except the one used last, which another process may use."""
+def _delete_older(root: Path, folder: Path) -> None:
     with suppress(OSError):  # another process may delete them at the same time
-        others = sorted((one.stat().st_mtime_ns, one) for one in root.glob(f"{stem}.{_HEX}") if one != folder)
+        others = sorted((one.stat().st_mtime_ns, one) for one in root.iterdir() if one != folder)
         for _, other in others[:-1]:
             shutil.rmtree(other, ignore_errors=True)
 
 
-def _find_sources(function: Callable[..., Any]) -> tuple[set[Path], set[str]]:
-    """Return the files and the constants ("NAME=value") that may be compiled into the code of a function's file.
+class _Locator(_CacheLocator):  # type: ignore[misc]
+    """Tells numba the folder and the digest of a function's code."""
 
-    These are the function's own file, the files of all compiled functions that it uses, directly or indirectly, and the
-    files of their named tuples. Constants are numbers and tuples of numbers with a name in capitals.
-    """
-    compiled = type(numba.njit(function))
-    files, constants, seen = {Path(function.__code__.co_filename).absolute()}, set(), set()
-    waiting = [(function.__globals__, _read_cells(function))]
-    while waiting:
-        names, cells = waiting.pop()
-        values = [*names.values(), *cells]
-        values += [value for one in values if isinstance(one, ModuleType) for value in vars(one).values()]
-        for value in values:
-            if isinstance(value, compiled) and id(value) not in seen:
-                seen.add(id(value))
-                files.add(Path(value.py_func.__code__.co_filename).absolute())
-                waiting.append((value.py_func.__globals__, _read_cells(value.py_func)))
-        for name, value in list(names.items()):
-            if isinstance(value, type) and hasattr(value, "_fields"):
-                file = getattr(sys.modules.get(value.__module__), "__file__", None)
-                files |= {Path(file).absolute()} if file else set()
-            elif name.isupper() and _is_number(value):
-                constants.add(f"{name}={value!r}")
-    return files, constants
+    def __init__(self, folder: Path, digest: str, line: int) -> None:
+        self._folder, self._digest, self._line = folder, digest, line
 
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return str(self._folder)
 
-def _read_cells(function: Callable[..., Any]) -> list[Any]:
-    """Return the values that a function uses from its enclosing functions."""
-    cells = []
-    for cell in function.__closure__ or ():
-        with suppress(ValueError):  # the value is not set yet
-            cells.append(cell.cell_contents)
-    return cells
+    def get_source_stamp(self) -> str:
+        """Return the digest. numba ignores code with another one."""
+        return self._digest
+
+    def get_disambiguator(self) -> str:
+        """Return the function's line, for functions of one name in one file."""
+        return str(self._line)
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Locator | None:
+        """Return the locator of a function, or None if the function is not in a file or no folder is writable."""
+        path = Path(py_func.__code__.co_filename).absolute()
+        if not path.is_file():
+            return None
+        digest = hash_kernels(path)
+        folder = find_code_folder(path.parent, digest, config.CACHE_DIR)  # type: ignore[attr-defined]
+        return None if folder is None else cls(folder, digest, py_func.__code__.co_firstlineno)
 
 
-def _is_number(value: object) -> bool:
-    return all(map(_is_number, value)) if isinstance(value, tuple) else isinstance(value, bool | int | float)
+class _Storage(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_Locator,)
 
 
-def _delete_unreadable(folder: Path, files: set[Path]) -> None:
-    """Delete damaged files, and indices of code that is missing or may have changed.
+class _CodeCache(FunctionCache):  # type: ignore[misc]
+    """numba's cache, which compiles again if a file is damaged, and continues if a file cannot be written."""
 
-    `files` cannot have changed, because their hash is part of the folder's name.
-    """
-    for path in folder.rglob("*.nb[ic]"):
+    _impl_class = _Storage
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        """Return the key of compiled code, which depends on the fields of named tuples, too."""
+        return *super()._index_key(sig, codegen), tuple(map(_list_fields, sig))
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the code for a signature, or None."""
         try:
-            names = _read_names(path)
-            fresh = path.suffix != ".nbi" or all(_is_older(*name, path.stat().st_mtime_ns, files) for name in names)
-        except Exception:  # noqa: BLE001 - unpickling a damaged file, or importing a package, may raise anything
-            fresh = False
-        if not fresh:
+            return super().load_overload(sig, target_context)
+        except Exception:  # noqa: BLE001 - unpickling a damaged file may raise anything
+            logger.debug("The compiled code of %s is damaged.", self._name)
             with suppress(OSError):
-                path.unlink(missing_ok=True)
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code for a signature."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            logger.warning("the compiled code of %s cannot be saved: %s", self._name, error)
 
 
-def _read_names(path: Path) -> set[tuple[str, str]]:
-    """Return the modules and names in a numba file. The whole file is read, but nothing is imported or called."""
-    stream, names = io.BytesIO(path.read_bytes()), set()
-    for _ in range(_PICKLES[path.suffix]):
-        reader = _NameReader(stream)
-        reader.load()
-        names |= reader.names
-    return names
-
-
-def _is_older(module: str, name: str, time_ns: int, files: set[Path]) -> bool:
-    """Return whether a module still has a name, and the module's file is in `files` or older than `time_ns`."""
-    if module in sys.builtin_module_names:
-        return True
-    loaded = sys.modules.get(module)
-    origin = getattr(loaded, "__file__", None) or getattr(importlib.util.find_spec(module), "origin", None)
-    if origin is None:
-        return False
-    first, path = name.partition(".")[0], Path(origin).absolute()
-    if not hasattr(loaded, first) and first.encode() not in path.read_bytes():  # the module's import may be incomplete
-        return False
-    return path in files or path.stat().st_mtime_ns <= time_ns
-
-
-class _NameReader(pickle.Unpickler):
-    """A reader of pickles that imports and calls nothing."""
-
-    def __init__(self, stream: io.BytesIO) -> None:
-        super().__init__(stream)
-        self.names: set[tuple[str, str]] = set()
-
-    def find_class(self, module: str, name: str) -> type[_Anything]:
-        """Add a name to `names`, and return a substitute for its class, function or object."""
-        self.names.add((module, name))
-        return _Anything
-
-
-class _Anything:
-    """A substitute for any class, function or object of a pickle."""
-
-    def __new__(cls, *_: object, **__: object) -> _Anything:
-        return object.__new__(cls)
-
-    def __init__(self, *_: object, **__: object) -> None: ...
-
-    def __setstate__(self, state: object) -> None: ...
-
-    def __setitem__(self, key: object, value: object) -> None: ...
-
-    def append(self, value: object) -> None:
-        """Accept an item of a list."""
-
-    def extend(self, values: object) -> None:
-        """Accept items of a list."""
+def _list_fields(kind: Any) -> tuple[Any, ...]:
+    """Return the names of a named tuple's fields, and those of the named tuples in it. Other types have none."""
+    if not isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
+        return ()
+    return *getattr(kind, "fields", ()), *map(_list_fields, kind)

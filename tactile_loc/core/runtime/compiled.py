@@ -2,7 +2,7 @@
 
 Kernels are plain numba functions that release the GIL. Threads of this module call the kernels for parts of a range.
 The parallel loops of numba are not used, because they take several times as long to compile. Their threads also wait in
-busy loops, which slows down all other work. So do the threads of BLAS libraries: see `core/blas.py`.
+busy loops, which slows down all other work. So do the threads of BLAS libraries: see `core/runtime/blas.py`.
 """
 
 from __future__ import annotations
@@ -11,16 +11,12 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import lru_cache, update_wrapper
 from itertools import pairwise
 from threading import RLock, local
 from typing import Any, TypeVar
 
-from numba import config
-from numba import njit as numba_njit
-
 from tactile_loc.core.runtime.blas import use_one_blas_thread
-from tactile_loc.core.runtime.code_cache import open_code_folder
 
 PARTS = 4  # parts per thread; a thread that finishes early takes another part
 
@@ -29,34 +25,55 @@ FASTMATH = {"nsz", "arcp", "contract"}  # for `fast`; infinities and NaN keep th
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_one_folder = RLock()  # numba has only one folder setting per process
+_one_compiler = RLock()
 _thread = local()  # `alone` is set in the threads of `map_in_threads`
 
 
+class Kernel:
+    """A function that numba compiles at its first call. numba is imported only then, because that takes a while."""
+
+    def __init__(self, function: Callable[..., Any], fast: bool) -> None:
+        update_wrapper(self, function)
+        self._function, self._fast, self._compiled = function, fast, None
+
+    @property
+    def compiled(self) -> Any:
+        """numba's dispatcher of the function, or the function itself under NUMBA_DISABLE_JIT."""
+        if self._compiled is None:
+            with _one_compiler:  # several threads call a kernel for the first time
+                self._compiled = self._compiled or self._compile()
+        return self._compiled
+
+    def _compile(self) -> Any:
+        from numba import config, njit
+
+        from tactile_loc.core.runtime.code_cache import keep_code
+
+        # C programs do not call these functions, so wrappers for C would only take time to compile
+        options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+        compiled = njit(self._function, fastmath=FASTMATH if self._fast else False, **options)
+        return compiled if config.DISABLE_JIT else keep_code(compiled)  # type: ignore[attr-defined]
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the compiled function."""
+        return self.compiled(*arguments)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """numba's type of this function, for kernels that call it."""
+        from numba import typeof
+
+        return typeof(self.compiled)
+
+
 def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> Any:
-    """Compile a function with numba, and keep its code on disk. The function releases the GIL while it runs.
+    """Compile a function with numba at its first call, and keep its code on disk. It releases the GIL while it runs.
 
     `fast` allows contraction of products and sums, and multiplication by reciprocals. Infinities and NaN keep their
-    meaning. The code on disk is used until one of its source files changes (see `code_cache`). In each file, import
-    compiled functions and constants from other files before the first compiled function.
+    meaning. The code on disk is used until a kernel module changes (see `code_cache`). Write `@njit` at the start of a
+    line, and take compiled functions and constants from modules with such a line only.
     """
-    if function is None:
-        return lambda f: njit(f, fast=fast)
-    # C programs do not call these functions, so wrappers for C would only take time to compile
-    decorate = partial(
-        numba_njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True, fastmath=FASTMATH if fast else False
-    )
-    if config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return decorate(function)
-    with _one_folder:
-        chosen: str = config.CACHE_DIR  # type: ignore[attr-defined]
-        folder = open_code_folder(function, chosen)
-        try:
-            if folder:
-                config.CACHE_DIR = str(folder)  # type: ignore[attr-defined] # numba reads it only here
-            return decorate(function, cache=folder is not None)
-        finally:
-            config.CACHE_DIR = chosen  # type: ignore[attr-defined]
+    return Kernel(function, fast) if function is not None else lambda f: Kernel(f, fast)
 
 
 def run_in_threads(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
@@ -112,7 +129,11 @@ def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) ->
 
 def count_threads() -> int:
     """Return the number of threads for compiled loops: NUMBA_NUM_THREADS or the number of cores, 1 if in an item."""
-    return 1 if getattr(_thread, "alone", False) else int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+    if getattr(_thread, "alone", False):
+        return 1
+    from numba import config  # it takes a while to import
+
+    return int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
 
 
 @lru_cache(maxsize=8)

@@ -34,7 +34,7 @@ def make_places_key(sampler: GridSampler, scene: Scene) -> StageKey:
 
 
 def _save(places: Places, work: Workspace) -> None:
-    from tactile_loc.core.places.packed_patches import split_patches  # numba takes a while to import
+    from tactile_loc.core.places.places import split_patches  # numba takes a while to import
 
     runs, changes = split_patches(places.patches)
     work.save_array("T_place_object", places.T_place_object, packed=True)
@@ -43,7 +43,7 @@ def _save(places: Places, work: Workspace) -> None:
 
 
 def _load(stored: Artifact) -> Places:
-    from tactile_loc.core.places.packed_patches import join_patches
+    from tactile_loc.core.places.places import join_patches
 
     patches = join_patches(stored.load_array("runs"), stored.load_array("changes"))
     return Places(stored.load_array("T_place_object"), patches)

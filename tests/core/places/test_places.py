@@ -4,7 +4,21 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import make_translation
-from tactile_loc.core.places.places import BELOW, CAMERA, FAR, HIGHEST_M, PATCH_PX, STEP_M, Places, make_patches
+from tactile_loc.core.places.places import (
+    BELOW,
+    CAMERA,
+    FAR,
+    HIGHEST_M,
+    PATCH_PX,
+    STEP_M,
+    Places,
+    average_patches,
+    differentiate,
+    integrate,
+    join_patches,
+    make_patches,
+    split_patches,
+)
 from tactile_loc.core.places.rotated_patches import measure_excess, rotate_patches
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -108,3 +122,65 @@ def test_a_pose_puts_its_place_at_the_given_point(places):
 def test_the_patch_camera_has_the_depth_and_size_of_a_patch():
     assert CAMERA.max_depth_m == HIGHEST_M
     assert CAMERA.shape == (PATCH_PX, PATCH_PX)
+
+
+def test_any_patches_are_the_same_after_splitting_and_joining():
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, FAR + 1, (3, PATCH_PX, PATCH_PX), np.uint8)
+    for patches in (noise, np.where(rng.random(noise.shape) < 0.8, FAR, noise), 0 * noise, 0 * noise + FAR, noise[:0]):
+        for some in (patches, patches[:, ::-1]):
+            joined = join_patches(*split_patches(some))
+            assert joined.dtype == np.uint8
+            assert np.array_equal(joined, some)
+
+
+def test_a_patch_is_split_into_runs_and_changes():
+    patch = np.full((1, PATCH_PX, PATCH_PX), FAR, np.uint8)
+    patch[0, 0, 2:5] = BELOW, BELOW + 7, BELOW + 4
+    runs, changes = split_patches(patch)
+    assert runs.tolist() == [2, 3, PATCH_PX**2 - 5]
+    assert changes.tolist() == [BELOW, 7, 256 - 3]
+
+
+def draw_weights(cells: int, pixels: int, rng: np.random.Generator) -> np.ndarray:
+    """Return random weights (cells, pixels) of pixels that are in one cell or in two neighbours."""
+    weights = np.zeros((cells, pixels), np.float32)
+    for pixel in range(pixels):
+        first = int(rng.integers(cells))
+        weights[first : first + int(rng.integers(1, 3)), pixel] = rng.uniform(0.1, 1)
+    return weights
+
+
+@pytest.mark.parametrize(("down", "across"), [(1, 1), (1, 5), (3, 2), (6, 9)])
+@pytest.mark.parametrize("shape", [(9, 9), (4, 11)])
+def test_sums_are_matrix_products(down, across, shape):
+    rng = np.random.default_rng(3)
+    patches = rng.integers(0, 256, (7, *shape)).astype(np.uint8)
+    rows, columns = draw_weights(down, shape[0], rng), draw_weights(across, shape[1], rng)
+    for end in (0, 1, 90, 256):
+        signal = np.where(np.arange(256) < end, rng.normal(size=256), 0).astype(np.float32)
+        found = average_patches(patches, signal, rows, columns)
+        assert found == pytest.approx(rows @ signal[patches] @ columns.T, abs=1e-4)
+
+
+def test_no_patch_has_no_sum():
+    weights = np.ones((1, 5), np.float32)
+    assert average_patches(np.empty((0, 5, 5), np.uint8), np.ones(256, np.float32), weights, weights).shape == (0, 1, 1)
+
+
+@pytest.mark.parametrize("cells", [[0, 1, 2], [0, 2]])
+def test_a_pixel_in_too_many_cells_is_refused(cells):
+    weights = np.zeros((3, 4), np.float32)
+    weights[cells, 1] = 1
+    patches, signal = np.zeros((1, 4, 4), np.uint8), np.ones(256, np.float32)
+    for rows, columns in ((weights, np.ones((1, 4), np.float32)), (np.ones((1, 4), np.float32), weights)):
+        with pytest.raises(ValueError, match="cells"):
+            average_patches(patches, signal, rows, columns)
+
+
+@pytest.mark.parametrize("shape", [(5, 7, 7), (1, 1, 1), (0, 7, 7)])
+def test_patches_are_found_again_from_their_differences(shape):
+    patches = np.random.default_rng(2).integers(0, 256, shape).astype(np.uint8)
+    differences = differentiate(patches)
+    assert np.array_equal(integrate(differences), patches)
+    assert np.array_equal(np.cumsum(np.cumsum(differences, 1, np.uint8), 2, np.uint8), patches)
