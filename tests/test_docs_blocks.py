@@ -39,8 +39,7 @@ ELSEWHERE = {
     "cli.md": "test_reference.py",  # generated
     "files.md": "test_docs_files.py",
     "plugins.md": "test_docs_plugins.py",
-    "plugin-checks.md": "test_docs_plugins.py",
-    "plugin-examples.md": "test_docs_examples.py",
+    "plugin-examples.md": "test_docs_plugins.py",
     "tutorial-plugin.md": "test_docs_tutorial.py",
     "sweeps.md": "test_docs_sweeps.py",
     "reports.md": "test_docs_reports.py",

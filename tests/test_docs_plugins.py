@@ -1,4 +1,4 @@
-"""The pages on plugins match the code: example files, tables of slots, errors and versions."""
+"""The pages on plugins match the code: examples, tables of slots and refused combinations, errors and versions."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import combinations
 import numpy as np
 import pytest
 from message_helpers import missing
+from tactile_loc_cli.scaffold.examples import make_examples
 
 from tactile_loc import plugin
 from tactile_loc.core.runtime.errors import (
@@ -20,6 +22,7 @@ from tactile_loc.core.runtime.errors import (
     UnknownPluginError,
 )
 from tactile_loc.plugins.matchers.dense import DenseMatcher
+from tactile_loc.slots.compatibility import INCOMPATIBILITIES, Declared
 from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.interface import INTERFACE_VERSION
 from tactile_loc.slots.registry import SLOTS, ComponentSpec, Registry, hookimpl
@@ -27,10 +30,8 @@ from tactile_loc.testing import ContractError
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "plugin"
-PAGE, LOADING, INTERFACES, CHECKS = (
-    (ROOT / "docs" / f"{name}.md").read_text()
-    for name in ("plugins", "plugin-loading", "plugin-interfaces", "plugin-checks")
-)
+PAGE = (ROOT / "docs" / "plugins.md").read_text()
+EXAMPLES = (ROOT / "docs" / "plugin-examples.md").read_text()
 KINDS = {
     kind.slot: kind
     for kind in (
@@ -48,13 +49,13 @@ def files() -> list[str]:
 
 @pytest.mark.parametrize("name", files())
 def test_each_example_file_is_shown_unchanged(name):
-    shown = re.search(rf"^`{re.escape(name)}`\n\n```\w+\n(.*?)^```$", PAGE + CHECKS, re.MULTILINE | re.DOTALL)
-    assert shown, f"neither docs/plugins.md nor docs/plugin-checks.md shows {name}"
+    shown = re.search(rf"^`{re.escape(name)}`\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    assert shown, f"docs/plugins.md does not show {name}"
     assert shown[1] == (EXAMPLE / name).read_text()
 
 
 def test_only_the_example_files_are_shown():
-    assert sorted(re.findall(r"^`([\w/.]+)`\n\n```", PAGE + CHECKS, re.MULTILINE)) == files()
+    assert sorted(re.findall(r"^`([\w/.]+)`\n\n```", PAGE, re.MULTILINE)) == files()
 
 
 def test_the_component_without_a_package_is_used_and_replaced():
@@ -82,7 +83,7 @@ def test_the_component_without_a_package_is_used_and_replaced():
 
 
 def test_the_custom_property_example_passes_and_can_fail():
-    code = re.search(r"^A property of your own.*?^```python\n(.*?)^```$", CHECKS, re.MULTILINE | re.DOTALL)
+    code = re.search(r"^A property of your own.*?^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
     assert code
     exec(code[1], {})
     with pytest.raises(ContractError, match=r"\boff=Place\("):
@@ -91,7 +92,8 @@ def test_the_custom_property_example_passes_and_can_fail():
 
 @pytest.mark.parametrize("slot", SLOTS)
 def test_every_slot_has_checks_and_properties_in_the_tables(slot):
-    assert len(re.findall(rf"^\| {slot} \| ", CHECKS, re.MULTILINE)) == 2
+    checks = PAGE.partition("## Contract checks")[2].partition("\n## ")[0]
+    assert len(re.findall(rf"^\| {slot} \| ", checks, re.MULTILINE)) == 2
 
 
 @pytest.mark.parametrize("slot", SLOTS)
@@ -148,18 +150,18 @@ def test_errors_have_the_documented_text(error, plugins):
     found = Registry(plugins)
     with pytest.raises(error) as caught:
         found.load("refiner", "spline")
-    assert str(caught.value) in re.sub(r"\s+", " ", LOADING)
+    assert str(caught.value) in re.sub(r"\s+", " ", PAGE)
 
 
 def test_the_interface_versions_end_with_the_current_one():
-    section = LOADING.partition("## Versions of the interface")[2].partition("\n## ")[0]
+    section = PAGE.partition("## Versions of the interface")[2].partition("\n## ")[0]
     versions = [int(version) for version in re.findall(r"^\| (\d+) \| ", section, re.MULTILINE)]
     assert max(versions) == INTERFACE_VERSION
     assert f"`ComponentSpec(interface={INTERFACE_VERSION})`" in section
 
 
 def test_the_documented_score_formula_matches_the_dense_matcher():
-    (line,) = re.findall(r"^    scores = (.*)$", INTERFACES, re.MULTILINE)
+    (line,) = re.findall(r"^    scores = (.*)$", PAGE, re.MULTILINE)
     rng = np.random.default_rng(0)
     q, w, bank = (rng.uniform(size=(rows, 6)).astype(np.float32) for rows in (3, 3, 9))
     dense = DenseMatcher()
@@ -175,4 +177,31 @@ def test_every_capability_is_in_the_table():
 
 def test_the_failure_row_has_the_documented_text():
     failure = Registry([FakeEntryPoint("tactile-loc-spline", SyntaxError("invalid syntax"))]).failures[0]
-    assert not missing(LOADING, failure.plugin, failure.distribution, failure.error)
+    assert not missing(PAGE, failure.plugin, failure.distribution, failure.error)
+
+
+def test_the_generated_examples_are_up_to_date():
+    assert make_examples() == EXAMPLES, "run python -m tactile_loc_cli.scaffold.examples"
+
+
+def test_the_table_of_refused_combinations_has_a_row_for_each_rule():
+    shown = combinations.TABLE.search(PAGE)
+    assert shown, "docs/plugins.md has no table of combinations"
+    assert shown[0] == combinations.table(), "run python docs/combinations.py"
+    rows = shown[0].splitlines()[2:]
+    for row, rule in zip(rows, INCOMPATIBILITIES, strict=True):
+        assert rule.reason in row
+        assert rule.advice in row
+
+
+@pytest.mark.parametrize(
+    ("declared", "names"),
+    [
+        (Declared("grid", "places", True), ["whole"]),
+        (Declared("matcher", "top_k_only", True), ["faiss"]),
+        (Declared("matcher", "weights", False), []),
+        (Declared("fuser", "contact_only", False), ["product"]),
+    ],
+)
+def test_built_in_components_are_found_by_their_declaration(declared, names):
+    assert list(combinations._declaring(declared)) == names

@@ -16,8 +16,8 @@ program.
 
 `tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot, or for a source or method of a
 [benchmark](benchmark.md). This page shows the example module of each slot. All examples pass the [contract
-checks](plugin-checks.md). Replace the computation, and keep the structure. [Plugins](plugins.md) explains the hook and
-the packaging, which are the same for every slot.
+checks](plugins.md#contract-checks). Replace the computation, and keep the structure. [Plugins](plugins.md) explains the
+hook and the packaging, which are the same for every slot.
 
 | slot | what the example does |
 |---|---|
