@@ -319,11 +319,11 @@ def _touch(localizer: Localizer) -> Touch:
 
 
 def tell_stories(out: Path) -> None:
-    """Run the code of the pages story-*.md in the folder of pictures; this code draws the pages' pictures."""
+    """Run the code of the page of worked examples in the folder of pictures; this code draws the page's pictures."""
     with chdir(out):
-        for page in sorted(IMAGES.parent.glob("story-*.md")):
-            for code in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE):
-                exec(compile(code, page.name, "exec"), {})
+        page = IMAGES.parent / "stories.md"
+        for code in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE):
+            exec(compile(code, page.name, "exec"), {})
 
 
 def main() -> None:

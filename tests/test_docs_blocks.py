@@ -48,10 +48,8 @@ ELSEWHERE = {
     "chain.md": "test_docs_chain.py",
     "other-tools.md": "test_docs_conversions.py",
     "examples.md": "test_examples.py",
-    "notebooks.md": "test_notebooks.py",
     "app.md": "test_app_command.py",
     "benchmark.md": "test_docs_benchmark.py",
-    "story-insertion.md": "test_insertion_page.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by the first word of the file
@@ -94,7 +92,7 @@ def commands(page: str) -> list[list[str]]:
 def test_every_block_has_a_tested_language():
     """A block without a language is a formula or a drawing."""
     languages = {(page, language) for page in PAGES for language, _ in blocks(page)}
-    tested = {"sh", "python", "toml", "csv", ""}
+    tested = {"sh", "python", "toml", "csv", ""} | {"bash", "py"}  # the last two: tests/examples/test_insertion_page.py
     assert [(page, language) for page, language in languages if language not in tested] == []
 
 
@@ -235,7 +233,7 @@ def test_python_runs(page, workplace, monkeypatch, store):
     original = Localizer.create.__func__
     grid = (
         SEARCHED
-        if page in ("next-touch.md", "identify.md") or page.startswith("story-")
+        if page in ("next-touch.md", "identify.md", "stories.md")
         else {"grid": {"name": "face", "spacing_mm": 8.0}}
     )
     coarse = {"store": store, **grid}

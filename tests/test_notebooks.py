@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 NAMES = [path.stem for path in NOTEBOOKS]
-PAGE = (ROOT / "docs" / "notebooks.md").read_text()
+PAGE = (ROOT / "docs" / "examples.md").read_text()
 LONGEST_CELL = 25  # lines
 
 

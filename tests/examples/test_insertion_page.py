@@ -1,4 +1,4 @@
-"""docs/story-insertion.md shows the controller and the table of the kept trials; its commands exist."""
+"""docs/stories.md shows the controller and the table of the kept trials; its commands exist."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 from PIL import Image
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "story-insertion.md").read_text()
+PAGE = (ROOT / "docs" / "stories.md").read_text()
 EXAMPLE = ROOT / "examples" / "insertion"
 LARGEST_BYTES = 3_000_000
 
 
 def test_the_page_shows_the_controller():
-    (shown,) = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    (shown,) = re.findall(r"^```py\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
     assert shown in (EXAMPLE / "methods.py").read_text()
 
 
@@ -36,7 +36,7 @@ def test_the_commands_of_the_page_have_valid_arguments():
     from run import parse_arguments
 
     lines = [
-        line for block in re.findall(r"^```sh\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE) for line in block.split("\n")
+        line for block in re.findall(r"^```bash\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE) for line in block.split("\n")
     ]
     commands = [shlex.split(line) for line in lines if line.startswith("python ")]
     assert commands
