@@ -187,7 +187,7 @@ QUOTES: dict[str, dict[str, Values]] = {
         "{} to {} times as many as OpenGL": lambda r: renderer(r, 0, 1),
     },
     "docs/contacts.md": {"a second contact reduces the median error from {} to {} mm": second_contact},
-    "docs/method-search.md": {
+    "docs/method.md": {
         "has {} (a round part) to {} places":
             lambda r: [round(end(r.column("search-parts", 1, "places")), n) for end, n in ((min, -2), (max, -3))],
     },

@@ -329,14 +329,14 @@ def test_a_contact_shape_is_cut_at_the_measured_press(measured_m, contact):
 
 
 def test_the_documented_levels_match_the_program():
-    page = (Path(__file__).parents[3] / "docs" / "noise.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "method-gel.md").read_text()
     table = page.split("## Settings\n")[1].split("\n## ")[0]
     for line in documented_rows():
         assert line in table
 
 
 def documented_rows() -> list[str]:
-    """Return the expected lines of the table in docs/noise.md."""
+    """Return the expected lines of the table in docs/method-gel.md."""
     mm, percent = (lambda v: f"{1e3 * v:g} mm" if v else "0"), (lambda v: f"{100 * v:g} %" if v else "0")
     write = {
         "press_share": lambda v: f"{100 * v[0]:g} to {100 * v[1]:g} %" if v[0] < v[1] else f"{100 * v[0]:g} %",
