@@ -35,9 +35,8 @@ def test_the_commands_of_the_page_have_valid_arguments():
     pytest.importorskip("matplotlib")
     from run import parse_arguments
 
-    lines = [
-        line for block in re.findall(r"^```bash\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE) for line in block.split("\n")
-    ]
+    blocks = re.findall(r"^```bash\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    lines = [line for block in blocks for line in block.split("\n")]
     commands = [shlex.split(line) for line in lines if line.startswith("python ")]
     assert commands
     for _, script, *arguments in commands:
