@@ -214,12 +214,12 @@ def _format_change(change: Change) -> str:
 
 
 def format_page(folder: Path = RESULTS) -> str:
-    """Return the text of benchmarks/results/README.md: all runs, and the tables of the runs that `keep` made."""
+    """Return the text of benchmarks/results/README.md: all runs with their tables."""
     parts = [
         "# Results over time\n",
-        "The first table lists every run of the benchmarks, with its command and date. If `scripts/bench.py keep`\n"
-        "made the run, its tables follow below. Otherwise, the last column names the page with its tables.\n"
-        "[Benchmarks](../../docs/benchmarks.md) explains all tables.\n",
+        "The first table lists every run of the benchmarks, with its command and date. All tables follow below.\n"
+        "[Benchmarks](../../docs/benchmarks.md) explains them. Where the last column names a page, the tables were\n"
+        "copied from this page.\n",
         "This folder contains a file for each run and version. The yardstick is the time that a fixed piece\n"
         "of work takes, measured before and after the run. To compare machines, times are divided by the yardstick.\n"
         "`make bench-compare` prints the ratio of every figure to its value in the previous version. A run that only\n"
@@ -233,11 +233,9 @@ def format_page(folder: Path = RESULTS) -> str:
         rows.append([name, f"`{format_command(kept)}`", kept.version, kept.date, str(kept.yardstick_ms or source)])
     parts.append(Table(["run", "command", "version", "date", "yardstick, ms, or source"], rows).markdown())
     for name, kept in runs.items():
-        if kept.yardstick_ms is not None:
-            parts.append(
-                f"## {name}\n\n`{format_command(kept)}`\n\n{kept.version}, {kept.date}, {kept.machine['processor']}, "
-                f"{kept.machine['cores']} cores; yardstick {kept.yardstick_ms:g} ms.\n"
-            )
+        if kept.tables:
+            machine = f", {kept.machine['processor']}, {kept.machine['cores']} cores" if kept.yardstick_ms else ""
+            parts.append(f"## {name}\n\n`{format_command(kept)}`\n\n{kept.version}, {kept.date}{machine}.\n")
             parts += [table.markdown() for table in kept.tables]
     return "\n".join(parts)
 

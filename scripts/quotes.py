@@ -201,7 +201,7 @@ QUOTES: dict[str, dict[str, Values]] = {
     },
     "docs/app.md": FINGER,
     "docs/quickstart.md": {"{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook")},
-    "docs/benchmarks/one-touch.md": {
+    "docs/benchmarks/accuracy.md": {
         "Every model is built in {} to {} s": range_of("single_touch", 1, "build s"),
         "Encoding, matching and refining one pose take {} to {} ms":
             lambda r: ends([sum(r.at("single_touch", 1, "ms: encode, match, refine", row[0]))
@@ -210,19 +210,18 @@ QUOTES: dict[str, dict[str, Values]] = {
         "The best of their ten most probable poses has {} and {} times the error of *closest*":
             lambda r: [r.at("single_touch", 1, "best-10", name)[0] / r.at("single_touch", 1, "closest", name)[0]
                        for name in ("AutoMate 00308_plug", "pulley (MBRFA30)")],
-    },
-    "docs/benchmarks/several-touches.md": {
         "**If two, three or five touches determine the pose, {}, {} and {} % of the examples are located within "
         "0.5 mm.** Of all examples, {} % are located within 0.5 mm with three touches, and {} % with "
         "five": five_located,
-    },
-    "docs/benchmarks/outliers-mount.md": {
         "A correct touch is reported as wrong in {} of {} examples without a wrong touch, and in none of {} "
         "examples": wrongly,
         "the wrong touch is reported in {} of {} examples. With slightly misplaced sensors, it is reported "
         "in {} of {}": named,
         "ten touches determine the mount's position to {} mm and its rotation to {} degrees":
             lambda r: [r.at("mount", 1, place, "mild", "10")[0] for place in (3, 4)],
+        "on the hook the median error falls from {} to {} mm": second_contact,
+        "With seven contacts, contact alone still has {} to {} times a random pose's error. The error of "
+        "best-1 is {} to {} times smaller": seven_contacts,
     },
     "docs/benchmarks/outside-the-model.md": {
         "within 1 mm in {} % of the examples with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
@@ -235,11 +234,6 @@ QUOTES: dict[str, dict[str, Values]] = {
         "decimated, {} % with the "
         "unseen noise": lambda r: outside(r, 3, *DRAWN),
     },
-    "docs/benchmarks/evaluation-results.md": {
-        "on the hook the median error falls from {} to {} mm": second_contact,
-        "With seven contacts, contact alone still has {} to {} times a random pose's error. The error of "
-        "best-1 is {} to {} times smaller": seven_contacts,
-    },
     "docs/benchmarks/probabilities.md": {
         "The worst are the 50 % sets of one touch, which hold {} %":
             lambda r: r.at("credible_sets", 1, "fused: 50, 80, 95 %", "1")[:1],
@@ -248,7 +242,7 @@ QUOTES: dict[str, dict[str, Values]] = {
         "{} to {} % of the true poses, instead of 5 %, are outside the 95 % ellipsoid":
             lambda r: ends([100 - share for share in r.column("covariances", 1, "in 95 %")]),
     },
-    "docs/benchmarks/encoders.md": {
+    "docs/benchmarks/components.md": FINGER | {
         "On {} of {} objects, the learned encoder has a smaller best-1 error than pixels. The ratio of the "
         "errors is {}":
             learned,
@@ -260,14 +254,13 @@ QUOTES: dict[str, dict[str, Values]] = {
             lambda r: [median(encoded(r, encoder, "reg-1")) for encoder in ("moco", "pixel")],
         "A training took {} to {} s": range_of("encoders", 1, "training"),
         **{f"| {name}, {line} | {paper} | {{}} | {{}} |": beside_the_paper(name, line) for name, line, paper in PAPER},
+        "has a median error of at most {} mm": lambda r: [max(r.column("joint", 1, "error, mm"))],
     },
-    "docs/benchmarks/tracking.md": {
+    "docs/benchmarks/tasks.md": {
         "Locating each frame alone takes {} to {} times as long as tracking it":
             lambda r: ends(ratios(*(r.column("sequences", 1, "time, ms (99 %)")[k::3] for k in (1, 0)))),
         "The head on GelSlim is located to {} mm": lambda r: r.at("replay", 1, "error, mm (90 %)", "head, GelSlim")[:1],
         "the journal and writing cost {} to {} ms for each image": range_of("replay", 1, "beside locating, ms"),
-    },
-    "docs/benchmarks/next-touch.md": {
         "the best possible touches need {} touches, chosen ones {}, and random ones {}":
             count_touches("next_touch", "known", "oracle", "chosen", "random"),
         "Until the verdict is also certain, they need {}, {} and {} touches":
@@ -283,16 +276,11 @@ QUOTES: dict[str, dict[str, Values]] = {
         "identified as another part in {} % of the examples":
             lambda r: [100 - r.at("identify", 1, "unknown: rejected", "2")[0]],
     },
-    "docs/benchmarks/presses-labels.md": {
+    "docs/benchmarks/real-images.md": {
         "the error with five spread presses is {}, {}, {} and {} times that with all presses": presses("5", 1),
         "With ten spread presses, it is {}, {}, {} and {} times": presses("10", 1),
         "With five random presses, it is {}, {}, {} and {} times": presses("5", 0),
         "On the other two sets, the error is larger by {} and {} %": worse_found,
-    },
-    "docs/benchmarks/simulated-images.md": {
         "The press depth is off by {} to {} mm on average": range_of("simulated_images", 1, "press off, mm"),
-    },
-    "docs/benchmarks/speed.md": FINGER | {
-        "has a median error of at most {} mm": lambda r: [max(r.column("joint", 1, "error, mm"))],
     },
 }  # fmt: skip

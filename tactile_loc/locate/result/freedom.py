@@ -19,7 +19,7 @@ Float64 = NDArray[np.float64]
 
 AS_WELL = 0.02  # a pose explains the touches as well as another if its imprint IoU is lower by at most this
 # standard deviation of the true pose's imprint IoU with several touches, because the reported sensor poses have errors:
-# docs/benchmarks/tracking.md
+# docs/benchmarks/tasks.md
 MISPLACED = 0.02
 SMALL_TURN_RAD = np.radians(5.0)  # smaller turns are not mentioned
 WIDE = 2.0  # standard deviations: 95 % of the errors along one direction are smaller
