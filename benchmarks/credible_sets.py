@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.errors import GridError

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from contacts import Located, locate
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches

@@ -22,10 +22,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from tactile_loc_benchmark.sources.elastic import FAR_M, make_shape
+from tactile_loc_benchmark.sources.layer import press_layer
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.sources.elastic import FAR_M, make_shape
-from tactile_loc.benchmark.sources.layer import press_layer
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.gel import RIGID, Gel

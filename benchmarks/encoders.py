@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 from single_touch import choose_spacing
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.evaluation.figures import draw_violins

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from single_touch import choose_spacing
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.io.meshes.mesh_files import load_object

@@ -35,8 +35,8 @@ import numpy as np
 from contacts import LEVELS
 from generated_parts import list_likenesses
 from numpy.typing import NDArray
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.sensing.noise import NOISE, TouchNoise
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches

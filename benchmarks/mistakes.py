@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import TactileLocError

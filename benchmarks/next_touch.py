@@ -45,8 +45,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from identify import measure_once
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.runtime.errors import TactileLocError

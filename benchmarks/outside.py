@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from contacts import Located, locate
 from numpy.typing import NDArray
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.noise import Float32, Gel, TouchNoise

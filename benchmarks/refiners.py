@@ -28,10 +28,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from single_touch import choose_spacing
+from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc import Localizer
 from tactile_loc.bases.cloud_refiner import Cloud, CloudRefiner, Registration
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.candidate import Candidate

@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 from elastic_gel import SIZES_PX, press_elastic, view_as
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import TactileLocError, TouchError
 from tactile_loc.core.sensing.gel import Gel

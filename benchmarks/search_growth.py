@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import trimesh
 from matplotlib.ticker import NullFormatter
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig

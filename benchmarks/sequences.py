@@ -26,9 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
+from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.bases.cloud_refiner import Cloud
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.geometry.hand_eye import move
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
 from tactile_loc.core.objects.mesh import ObjectModel

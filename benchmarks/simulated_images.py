@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 from single_touch import choose_spacing
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.core.sensing.touch import Touch

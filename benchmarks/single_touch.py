@@ -15,8 +15,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.evaluation.protocol import STAGES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches

@@ -29,10 +29,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tactile_loc_benchmark.sources.calibrating import calibrate_sensor, label_balls
+from tactile_loc_benchmark.sources.taxim_images import TaximGel
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.sources.calibrating import calibrate_sensor, label_balls
-from tactile_loc.benchmark.sources.taxim_images import TaximGel
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import TactileLocError, TouchError
 from tactile_loc.core.sensing.scene import Scene

@@ -36,8 +36,8 @@ import numpy as np
 from elastic_gel import SIZES_PX, press_elastic, view_as
 from reliability import add_noise
 from sequences import SENSOR_STD_M, SENSOR_STD_RAD
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.runtime.errors import TactileLocError, TouchError

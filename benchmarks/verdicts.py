@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 from elastic_gel import SIZES_PX
 from reliability import BINS, MM, RIGHT_MM, draw_example
+from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.benchmark.suite import read_split
 from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.gel import RIGID, Gel

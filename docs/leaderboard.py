@@ -12,16 +12,17 @@ import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from tactile_loc.benchmark.files import HEAD, TABLE_NOTE, list_cells
-from tactile_loc.benchmark.leaderboard import Standing, read_standings
-from tactile_loc.benchmark.summary import WITHIN_M, Group, format_within
+from tactile_loc_benchmark.files import HEAD, TABLE_NOTE, list_cells
+from tactile_loc_benchmark.leaderboard import Standing, read_standings
+from tactile_loc_benchmark.summary import WITHIN_M, Group, format_within
+
 from tactile_loc.evaluation.tabular import format_markdown
-from tactile_loc.slots.registry import BUILT_IN, registry
+from tactile_loc.slots.registry import registry
 
 DOCS = Path(__file__).parent
 RESULTS = DOCS.parent / "benchmarks" / "results" / "leaderboard"
 PAGE, GUIDE = RESULTS / "README.md", DOCS / "benchmark.md"
-OURS = "tactile-loc"
+OURS, OFFERING = "tactile-loc", "tactile-loc-benchmark"
 NEAR = WITHIN_M.index(1e-3)
 INTRODUCTION = f"""\
 # Leaderboard
@@ -151,7 +152,7 @@ def tabulate_components(kind: str) -> str:
     """Return a table of the built-in sources or methods with the command that installs their libraries."""
     rows = [["name", "description", "needs"]]
     for found in registry().components:
-        if found.distribution == BUILT_IN and found.spec.slot == kind:
+        if found.distribution == OFFERING and found.spec.slot == kind:
             needs = f"`pip install '{found.spec.requires}'`" if found.spec.requires else "-"
             rows.append([f"`{found.spec.name}`", found.spec.summary, needs])
     return format_markdown(rows)

@@ -21,7 +21,10 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = [f"tests/{name}" for name in ("core", "locate", "plugins", "tasks", "evaluation", "benchmark", "library")]
+FOLDERS = [
+    *(f"tests/{name}" for name in ("core", "locate", "plugins", "tasks", "evaluation", "library")),
+    "plugins_contrib/tactile-loc-benchmark/tests",
+]
 PYTEST = ["-q", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-m", "not slow", *FOLDERS]
 NUMPY_LEVELS = ("X86_V2", "X86_V3", "X86_V4", "AVX512_ICL", "AVX512_SPR")  # the features that numpy has code for
 BEYOND_AVX2 = "X86_V4 AVX512_ICL AVX512_SPR"  # numpy's names of groups of features

@@ -67,7 +67,6 @@ needs() {
 }
 touch empty.mcap empty.mp4 empty.step empty.stl
 needs app app
-needs benchmark benchmark --out refused
 needs camera live --camera 0 --object hook --port 0
 needs clearance next-touch result --around 3 --finger 32x28x24mm --out refused
 needs kiss run --refiner kiss-icp --out refused

@@ -16,7 +16,8 @@ from tactile_loc.core.runtime.lazy import lazy_names
 if TYPE_CHECKING:
     # what a package offers, and for which version of this interface
     from tactile_loc.slots.interface import INTERFACE_VERSION as INTERFACE_VERSION
-    from tactile_loc.slots.registry import CommandSpec as CommandSpec, ComponentSpec as ComponentSpec
+    from tactile_loc.slots.registry import CommandSpec as CommandSpec, ComponentKind as ComponentKind
+    from tactile_loc.slots.registry import ComponentSpec as ComponentSpec
     from tactile_loc.slots.registry import hookimpl as hookimpl
     from tactile_loc.slots.registry import registry as registry
 
@@ -45,12 +46,6 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry, Drawing as Drawing
     from tactile_loc.core.sensing.sensor_geometry import find_drawing as find_drawing
     from tactile_loc.core.objects.symmetry import SymmetryGroup as SymmetryGroup
-
-    # what a benchmark combines
-    from tactile_loc.slots.benchmarking import LocatingProblem as LocatingProblem, Method as Method
-    from tactile_loc.slots.benchmarking import RecordedSource as RecordedSource, RecordedTouch as RecordedTouch
-    from tactile_loc.slots.benchmarking import ScoredPoses as ScoredPoses, SimulatedSource as SimulatedSource
-    from tactile_loc.slots.benchmarking import TouchSource as TouchSource
 
     # errors that a component raises, each with a short message for the user
     from tactile_loc.core.runtime.errors import AnswerError as AnswerError

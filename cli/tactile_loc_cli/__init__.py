@@ -11,7 +11,6 @@ COMMANDS = (
     ("simulate", "commands.simulate:simulate", "Simulate touches with known poses."),
     ("evaluate", "evaluate.command:evaluate", "Measure how often `run` is right."),
     ("sweep", "commands.sweep:sweep", "Evaluate every combination of components."),
-    ("benchmark", "commands.benchmark:benchmark", "Compare methods on touches from several sources."),
     ("report", "commands.report:report", "Show a result as one HTML file."),
     ("live", "commands.live:live", "Locate an object in each frame as it arrives."),
     ("replay", "commands.replay:replay", "Locate an object in each image of a ROS recording, or of a folder."),

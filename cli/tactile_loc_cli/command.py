@@ -18,7 +18,7 @@ from typer.main import get_command, get_group
 from typer.models import ParameterInfo
 
 from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.slots.registry import KINDS, SLOTS, CommandSpec, registry
+from tactile_loc.slots.registry import SLOTS, CommandSpec, registry
 from tactile_loc_cli.console import hide_results, name_flags, say_json, show_log
 from tactile_loc_cli.failures import Finding, report_failures
 from tactile_loc_cli.options import RunOptions, Takes
@@ -187,13 +187,13 @@ def _offer_demo_objects(_: typer.Context) -> Offers:
 
 
 def _offer_slots(_: typer.Context) -> Offers:
-    yield from ((slot, "") for slot in KINDS)
+    yield from ((slot, "") for slot in registry().kinds)
 
 
 def _offer_components_of_slot(context: typer.Context) -> Offers:
     """Offer the components of the slot that the user wrote before the name."""
     slot = context.params.get("slot")
-    yield from _offer_components(slot, context) if slot in KINDS and context.info_name == "plugins" else ()
+    yield from _offer_components(slot, context) if slot in registry().kinds and context.info_name == "plugins" else ()
 
 
 OFFERS: Mapping[str, Callable[[typer.Context], Offers]] = {

@@ -21,7 +21,7 @@ from tactile_loc.core.runtime.errors import (
     name_source,
     quote,
 )
-from tactile_loc.slots.registry import KINDS, SLOTS, registry, validate_options
+from tactile_loc.slots.registry import SLOTS, registry, validate_options
 from tactile_loc_cli.console import complain, is_shown, make_progress
 
 if TYPE_CHECKING:
@@ -358,8 +358,8 @@ def read_touches(localizer: Localizer, path: Path) -> list[Observation]:
 
 def require_slot(slot: str) -> None:
     """Raise UnknownPluginError if there is no slot of this name."""
-    if slot not in KINDS:
-        raise UnknownPluginError(f"there is no slot {slot!r}; {advise_choice(slot, KINDS)}")
+    if slot not in (kinds := registry().kinds):
+        raise UnknownPluginError(f"there is no slot {slot!r}; {advise_choice(slot, kinds)}")
 
 
 def require_mcap(flag: str, path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tactile_loc.plugin import INTERFACE_VERSION, ComponentSpec, hookimpl
 
-LEARNED, KISS, BENCHMARK = "tactile-loc[learned]", "tactile-loc[kiss]", "tactile-loc[benchmark]"
+LEARNED, KISS = "tactile-loc[learned]", "tactile-loc[kiss]"
 # slot, name, class, summary, and the extra to install
 BUILT_IN = [
     ("sensor", "gelslim", "sensors.presets:GelSlim", "GelSlim with the paper's camera"),
@@ -41,39 +41,11 @@ BUILT_IN = [
     ("fuser", "kinematic", "fusers.kinematic:KinematicFuser", "uses contact or no contact only: the paper's baseline"),
 ]  # fmt: skip
 
-# kind, name, class, summary, and the extra to install
-OF_BENCHMARK = [
-    ("touch-source", "simulated", "sources.simulated:SimulatedTouches", "contact shapes by a renderer of tactile-loc"),
-    ("touch-source", "contact-mechanics-layer", "sources.layer:ElasticLayer",
-     "contact shapes on an elastic layer, by ContactMechanics", BENCHMARK),
-    ("touch-source", "tamaas-half-space", "sources.half_space:ElasticHalfSpace",
-     "contact shapes on an elastic half-space, by tamaas", BENCHMARK),
-    ("touch-source", "taxim", "sources.taxim_images:TaximImages",
-     "images of a GelSight or GelSight Mini, by Taxim", BENCHMARK),
-    ("touch-source", "tactile-mnist", "sources.cycle_gan:CycleGanImages",
-     "images of a GelSight Mini, by the CycleGAN of tactile-mnist", "tactile-loc[cyclegan]"),
-    ("touch-source", "gelslim-shapes", "sources.gelslim_shapes:GelslimShapes",
-     "recorded images of a prism with known poses", "tactile-loc[learned]"),
-    ("method", "tactile-loc", "methods.ours:TactileLoc", "tactile-loc itself, with any settings"),
-    ("method", "pixel-matching", "methods.pixel_matching:PixelMatching",
-     "compares the pixels of contact shapes with drawn ones, without registration"),
-    ("method", "icp-starts", "methods.icp_starts:IcpFromStarts", "point-to-plane ICP from many starts"),
-    ("method", "fpfh-ransac", "methods.feature_registration:FpfhRansac", "FPFH features and RANSAC (open3d), then ICP"),
-    ("method", "fast-global-registration", "methods.feature_registration:FastGlobalRegistration",
-     "FPFH features and fast global registration (open3d), then ICP"),
-    ("method", "transform-consensus", "methods.transform_consensus:TransformConsensus",
-     "votes of pairs of touched points for poses, then verification and ICP"),
-    ("method", "particle-filter", "methods.particle_filter:ParticleFilter",
-     "a particle filter that compares drawn contact shapes"),
-]  # fmt: skip
-
 
 @hookimpl
 def tactile_loc_components() -> list[ComponentSpec]:
-    """Return the built-in components of all seven slots, and those that a benchmark combines."""
-    rooms = ((__name__, BUILT_IN), ("tactile_loc.benchmark", OF_BENCHMARK))
+    """Return the built-in components of all seven slots."""
     return [
-        ComponentSpec(slot, name, f"{room}.{kind}", summary, "".join(requires), INTERFACE_VERSION)
-        for room, offered in rooms
-        for slot, name, kind, summary, *requires in offered
+        ComponentSpec(slot, name, f"{__name__}.{kind}", summary, "".join(requires), INTERFACE_VERSION)
+        for slot, name, kind, summary, *requires in BUILT_IN
     ]

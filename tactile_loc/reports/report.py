@@ -12,6 +12,7 @@ from tactile_loc.reports.page import JSON_OPTIONS, Page, name_damage, render
 from tactile_loc.store.files import write_atomically
 
 KINDS = {"result": "run", "recall": "recall", "results": "evaluation", "contacts": "contacts", "sweep": "sweep"}
+BENCHMARK = "benchmark.json"  # a result of the package tactile-loc-benchmark
 SUFFIXES = (".json", ".npz", ".csv", ".md", ".png")
 DEFAULT_NAME = "report.html"
 
@@ -34,6 +35,10 @@ def find_source(path: Path) -> Source:
 
     Raises ResultError if there is no result, or more than one.
     """
+    folder = path if os.path.isdir(path) else path.parent
+    if (folder / BENCHMARK).is_file() and path in (folder, folder / BENCHMARK):
+        command = f"tactile-loc benchmark --report --out {folder}"
+        raise ResultError(f"{path} is the result of a benchmark; write its page with {command}")
     if os.path.isdir(path):
         return _find_in_folder(path)
     kind = KINDS.get(path.stem) if path.suffix in SUFFIXES else None

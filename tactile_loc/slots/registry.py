@@ -12,7 +12,8 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
@@ -35,7 +36,6 @@ from tactile_loc.slots.interface import INTERFACE_VERSION, explain_version, requ
 
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
-KINDS = (*SLOTS, "touch-source", "method")  # a benchmark combines sources of touches with methods
 COMMAND_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 hookspec = pluggy.HookspecMarker(PROJECT)
@@ -44,7 +44,7 @@ hookimpl = pluggy.HookimplMarker(PROJECT)
 
 @dataclass(frozen=True)
 class ComponentSpec:
-    """One component offered for one slot, or for one of the other KINDS.
+    """One component offered for one slot, or for a kind of component that another package defines.
 
     `target` is "package.module:Class", imported at first use. `requires` names the pip distribution of a library that
     the component needs and tactile-loc does not. `interface` is the version of the plugin interface for which the
@@ -75,6 +75,23 @@ class CommandSpec:
     requires: str = ""
 
 
+@dataclass(frozen=True)
+class ComponentKind:
+    """A kind of component that a package defines beside the slots. Its interface derives from `Component`.
+
+    `name` is the interface's `slot`. `checks` is the module of the contract checks, with the functions
+    `checks(capabilities)` and `properties(capabilities)`. `templates` is a package: its folder `templates` contains the
+    files that `new-plugin` fills in, `KIND.py.tmpl` and `test_KIND.py.tmpl`. `example` describes the component in
+    these files, and `usage` is the command that uses a component: `{name}` stands for its name.
+    """
+
+    name: str
+    checks: str
+    templates: str
+    example: str
+    usage: str
+
+
 @hookspec
 def tactile_loc_components() -> Iterable[ComponentSpec]:  # type: ignore[empty-body]
     """Return the components that this plugin offers."""
@@ -83,6 +100,11 @@ def tactile_loc_components() -> Iterable[ComponentSpec]:  # type: ignore[empty-b
 @hookspec
 def register_commands() -> Iterable[CommandSpec]:  # type: ignore[empty-body]
     """Return the commands that this plugin adds to `tactile-loc`."""
+
+
+@hookspec
+def register_kinds() -> Iterable[ComponentKind]:  # type: ignore[empty-body]
+    """Return the kinds of components that this plugin defines beside the slots."""
 
 
 logger = logging.getLogger(__name__)
@@ -126,31 +148,50 @@ class Registry:
         self.components: list[Registered] = []
         self.commands: list[RegisteredCommand] = []
         self.failures: list[LoadFailure] = []
-        self._kinds: dict[ComponentSpec, Any] = {}
+        self.kinds: dict[str, ComponentKind | None] = dict.fromkeys(SLOTS)  # slots have no ComponentKind
+        self._classes: dict[ComponentSpec, Any] = {}
+        offers: list[tuple[EntryPoint, list[ComponentSpec]]] = []
         for plugin in plugins:
-            self._load(plugin)
+            with self._keep_failure(plugin):
+                offers.append((plugin, self._load(plugin)))
+        for plugin, components in offers:  # a component may be of a kind that a later plugin defines
+            with self._keep_failure(plugin):
+                for component in components:
+                    self._require_component_spec(component)
+                self.components += [Registered(spec, _name_distribution(plugin)) for spec in components]
 
-    def _load(self, plugin: EntryPoint) -> None:
-        distribution = plugin.dist.name if plugin.dist else plugin.value
+    @contextmanager
+    def _keep_failure(self, plugin: EntryPoint) -> Iterator[None]:
+        """Keep an error of the block as the plugin's failure."""
         try:
-            manager = pluggy.PluginManager(PROJECT)
-            manager.add_hookspecs(sys.modules[__name__])
-            manager.register(plugin.load())
-            manager.check_pending()
-            components = [spec for offered in manager.hook.tactile_loc_components() for spec in offered]
-            commands = [spec for offered in manager.hook.register_commands() for spec in offered]
-            if not components and not commands:
-                raise TypeError("offers no component and no command: its hooks are missing or return nothing")
-            for component in components:
-                _require_component_spec(component)
-            for command in commands:
-                _require_command_spec(command)
+            yield
         except Exception as error:  # noqa: BLE001 - other people's plugins may raise anything
             reason = f"{type(error).__name__}: {error}"
-            self.failures.append(LoadFailure(plugin.name, distribution, reason))
-        else:
-            self.components += [Registered(spec, distribution) for spec in components]
-            self.commands += [RegisteredCommand(spec, distribution) for spec in commands]
+            self.failures.append(LoadFailure(plugin.name, _name_distribution(plugin), reason))
+
+    def _load(self, plugin: EntryPoint) -> list[ComponentSpec]:
+        """Import a plugin, add the kinds and commands that it defines, and return the components that it offers."""
+        manager = pluggy.PluginManager(PROJECT)
+        manager.add_hookspecs(sys.modules[__name__])
+        manager.register(plugin.load())
+        manager.check_pending()
+        components = [spec for offered in manager.hook.tactile_loc_components() for spec in offered]
+        commands = [spec for offered in manager.hook.register_commands() for spec in offered]
+        kinds = {kind.name: kind for defined in manager.hook.register_kinds() for kind in defined}
+        if not components and not commands and not kinds:
+            raise TypeError("offers no component and no command: its hooks are missing or return nothing")
+        for command in commands:
+            _require_command_spec(command)
+        self.kinds |= kinds
+        self.commands += [RegisteredCommand(spec, _name_distribution(plugin)) for spec in commands]
+        return components
+
+    def _require_component_spec(self, spec: Any) -> None:
+        """Raise TypeError unless this is the spec of a component of a known kind."""
+        if not isinstance(spec, ComponentSpec) or spec.slot not in self.kinds:
+            raise TypeError(f"offers {spec!r}; the slots are {', '.join(self.kinds)}")
+        if not isinstance(spec.interface, int) or spec.interface < 1:
+            raise TypeError(f"offers {spec!r}; its interface must be a whole number, 1 or more")
 
     def add(self, kind: type[Any], name: str, summary: str = "") -> None:
         """Offer a component class under a name, in this process only. This is for notebooks and short scripts.
@@ -174,7 +215,7 @@ class Registry:
         target = f"{kind.__module__}:{kind.__qualname__}"
         spec = ComponentSpec(slot, name, target, summary, interface=INTERFACE_VERSION)
         self.components = [*others, Registered(spec, ADDED)]
-        self._kinds[spec] = kind
+        self._classes[spec] = kind
 
     def names(self, slot: str) -> list[str]:
         """Return the names of a slot's components, in the order found."""
@@ -193,8 +234,8 @@ class Registry:
         return found[0]
 
     def _describe_unknown(self, slot: str, name: str) -> str:
-        if slot not in KINDS:
-            return f"there is no slot {slot!r}; {advise_choice(slot, KINDS)}"
+        if slot not in self.kinds:
+            return f"there is no slot {slot!r}; {advise_choice(slot, self.kinds)}"
         broken = "".join(f". The plugin {f.plugin} could not be loaded ({f.error})" for f in self.failures)
         also = ", and no folder or file with that name" if slot == "sensor" else ""
         return f"there is no {slot} {name!r}{also}; {advise_choice(name, self.names(slot))}{broken}".replace("?.", "?")
@@ -204,9 +245,9 @@ class Registry:
         found = self.find(slot, name)
         if reason := explain_version(found.spec.interface, found.distribution):
             raise PluginLoadError(f"the {slot} {name!r} of {found.distribution} {reason}")
-        if found.spec not in self._kinds:
-            self._kinds[found.spec] = self._import_component(found)
-        return self._kinds[found.spec]
+        if found.spec not in self._classes:
+            self._classes[found.spec] = self._import_component(found)
+        return self._classes[found.spec]
 
     def _import_component(self, found: Registered) -> Any:
         slot = found.spec.slot
@@ -259,14 +300,6 @@ def _import_target(found: Registered | RegisteredCommand, what: str, require: Ca
             f"{what} of {found.distribution} failed on import ({type(error).__name__}: {error}); "
             f"update or uninstall that package, or choose another {alternative}"
         ) from error
-
-
-def _require_component_spec(spec: Any) -> None:
-    """Raise TypeError unless this is the spec of a component."""
-    if not isinstance(spec, ComponentSpec) or spec.slot not in KINDS:
-        raise TypeError(f"offers {spec!r}; the slots are {', '.join(KINDS)}")
-    if not isinstance(spec.interface, int) or spec.interface < 1:
-        raise TypeError(f"offers {spec!r}; its interface must be a whole number, 1 or more")
 
 
 def _require_command_spec(spec: Any) -> None:
@@ -373,6 +406,10 @@ def registry() -> Registry:
         allowed = {name.strip() for name in wanted.split(",")} | {BUILT_IN}
         found = [e for e in found if e.name in allowed or (e.dist is not None and e.dist.name in allowed)]
     return Registry(sorted(found, key=lambda e: (not _is_built_in(e), e.name)))
+
+
+def _name_distribution(plugin: EntryPoint) -> str:
+    return plugin.dist.name if plugin.dist else plugin.value
 
 
 def _is_built_in(plugin: EntryPoint) -> bool:

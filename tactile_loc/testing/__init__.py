@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from tactile_loc.slots.component import Component
-from tactile_loc.slots.registry import KINDS
+from tactile_loc.slots.registry import registry
 from tactile_loc.testing import contract
 from tactile_loc.testing.contract import Check, ContractError
 
@@ -70,9 +70,11 @@ def _find_slot_module(component: Component) -> Any:
     """Return the checks' module for the component's kind, or None if the kind is unknown."""
     if not isinstance(component, Component):
         raise TypeError(f"checks need an instance of a component, not {component!r}")
-    if component.slot not in KINDS:
+    kinds = registry().kinds
+    if component.slot not in kinds:
         return None
-    return importlib.import_module(f"tactile_loc.testing.{component.slot.replace('-', '_')}s")
+    kind = kinds[component.slot]
+    return importlib.import_module(kind.checks if kind else f"tactile_loc.testing.{component.slot}s")
 
 
 def _parametrize(components: Iterable[Component], chosen: Callable[[Component], list[Check]]) -> Any:

@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.slots.component import Capabilities, Component
-from tactile_loc.slots.registry import KINDS
+from tactile_loc.slots.registry import registry
 
 Check = Callable[[Any], None]
 
@@ -74,7 +74,8 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 def check_declaration(component: Component) -> None:
     """The slot is known, the version is a positive integer, and capabilities are declared."""
-    require(component.slot in KINDS, f"slot must be one of {', '.join(KINDS)}, not {component.slot!r}")
+    known = registry().kinds
+    require(component.slot in known, f"slot must be one of {', '.join(known)}, not {component.slot!r}")
     version = component.version
     good = isinstance(version, int) and not isinstance(version, bool) and version >= 1
     require(good, f"version must be an integer of at least 1, not {version!r}")

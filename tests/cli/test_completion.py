@@ -17,7 +17,7 @@ from test_startup import HEAVY, PROBE
 from typer.testing import CliRunner
 
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.slots.registry import KINDS, registry
+from tactile_loc.slots.registry import registry
 
 WITH_CHOSEN_SHELL = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
 
@@ -53,7 +53,7 @@ def test_demo_objects_are_completed():
 
 
 def test_slots_and_their_components_are_completed():
-    assert bash("tactile-loc plugins ") == set(KINDS)
+    assert bash("tactile-loc plugins ") == set(registry().kinds)
     assert bash("tactile-loc plugins grid ") == set(registry().names("grid"))
     assert bash("tactile-loc plugins nonsense ") == set()
 

@@ -17,7 +17,7 @@ from tactile_loc_cli.scaffold.command import new_plugin
 from tactile_loc_cli.scaffold.naming import LONGEST, Naming
 
 from tactile_loc.core.runtime.errors import OutputError
-from tactile_loc.slots.registry import KINDS, SLOTS
+from tactile_loc.slots.registry import SLOTS, registry
 
 OUR_RULES = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -30,7 +30,7 @@ def name_of(slot: str) -> str:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a new package for each slot, and the metadata of an editable installation."""
     folder = tmp_path_factory.mktemp("site")
-    for slot in KINDS:
+    for slot in registry().kinds:
         naming = Naming(slot, name_of(slot))
         package.write(naming, folder / naming.distribution)
         install(folder, folder / naming.distribution)
@@ -58,11 +58,11 @@ def run(site: Path, line: list[str], **environment: str) -> subprocess.Completed
 
 @pytest.mark.slow
 def test_every_new_package_passes_all_contract_checks_and_its_own_tests(site):
-    folders = [Naming(slot, name_of(slot)).distribution for slot in KINDS]
+    folders = [Naming(slot, name_of(slot)).distribution for slot in registry().kinds]
     quiet = ["-q", "-p", "no:cacheprovider", "-p", "no:dash", "--rootdir", str(site), "--durations=0", "-vv"]
     done = run(site, [sys.executable, "-m", "pytest", *quiet, *folders])
     assert done.returncode == 0, done.stdout
-    for slot in KINDS:
+    for slot in registry().kinds:
         naming = Naming(slot, name_of(slot))
         passed = [
             line for line in done.stdout.splitlines() if f"test_my_{naming.module}.py::" in line and "PASSED" in line
@@ -75,7 +75,7 @@ def test_every_new_package_passes_all_contract_checks_and_its_own_tests(site):
 def test_every_new_component_is_found(site):
     listed = json.loads(run(site, command("plugins", "--json")).stdout)["components"]
     ours = {c["slot"]: c for c in listed if c["distribution"] == Naming(c["slot"], name_of(c["slot"])).distribution}
-    assert ours.keys() == set(KINDS)
+    assert ours.keys() == set(registry().kinds)
     assert all(c["name"] == name_of(slot) and c["summary"] for slot, c in ours.items())
 
 
@@ -95,7 +95,7 @@ def test_all_new_components_locate_an_object_together(site, tmp_path):
 def test_ruff_accepts_packages_with_names_of_any_length(tmp_path):
     folders = []
     for name in ("a", "x" * LONGEST, "-".join("abcdefghij1234")):
-        for slot in KINDS:
+        for slot in registry().kinds:
             folders.append(tmp_path / name / slot)
             package.write(Naming(slot, name), folders[-1])
     check, layout, ours = ["check", "--no-cache"], ["format", "--check", "--no-cache"], ["--config", str(OUR_RULES)]

@@ -19,7 +19,7 @@ from tactile_loc_cli.scaffold.naming import Naming
 from tactile_loc_cli.scaffold.package import render
 
 import tactile_loc
-from tactile_loc.slots.registry import KINDS
+from tactile_loc.slots.registry import SLOTS
 
 CONTRIBUTED = Path(__file__).parents[2] / "plugins_contrib"
 FOUND = sorted(path.parent.name for path in CONTRIBUTED.glob("*/pyproject.toml"))
@@ -131,9 +131,9 @@ def test_a_private_import_is_noticed(text):
 
 
 def test_the_example_and_generated_plugins_import_only_the_public_api():
-    written = [(path, text) for slot in KINDS for path, text in render(Naming(slot, f"my-{slot}")).items()]
+    written = [(path, text) for slot in SLOTS for path, text in render(Naming(slot, f"my-{slot}")).items()]
     sources = [path.read_text() for path in EXAMPLE.rglob("*.py")] + [t for path, t in written if path.endswith(".py")]
-    assert len(sources) >= 3 + 3 * len(KINDS)
+    assert len(sources) >= 3 + 3 * len(SLOTS)
     assert [private(text) for text in sources if private(text)] == []
 
 

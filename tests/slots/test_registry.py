@@ -5,7 +5,6 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -24,7 +23,7 @@ from tactile_loc.core.runtime.errors import (
 )
 from tactile_loc.slots.component import Component
 from tactile_loc.slots.refiner import Refiner
-from tactile_loc.slots.registry import ADDED, KINDS, Registry, registry, validate_options
+from tactile_loc.slots.registry import ADDED, SLOTS, Registry, registry, validate_options
 
 HOOK = """
 from tactile_loc.slots.registry import ComponentSpec, hookimpl
@@ -69,10 +68,6 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
             del sys.modules[name]
 
 
-# libraries of extras that the development environment lacks, or that some systems have no wheels of
-NOT_EVERYWHERE = {"tactile-loc[cyclegan]": "tactile_mnist", "tactile-loc[benchmark]": "tamaas"}
-
-
 def hook(*specs: str) -> str:
     return HOOK.format(specs=", ".join(specs))
 
@@ -81,11 +76,8 @@ def test_every_slot_has_built_in_components_of_its_type():
     found = registry()
     assert found.failures == []
     built_in = [c for c in found.components if c.distribution == "tactile-loc"]
-    assert {c.spec.slot for c in built_in} == set(KINDS)
+    assert {c.spec.slot for c in built_in} == set(SLOTS)
     for component in built_in:
-        library = NOT_EVERYWHERE.get(component.spec.requires)
-        if library and find_spec(library) is None:
-            continue
         kind = found.load(component.spec.slot, component.spec.name)
         assert issubclass(kind, Component)
         assert kind.slot == component.spec.slot
@@ -137,6 +129,24 @@ def test_a_plugin_cannot_silently_replace_a_built_in_component(install):
     install("acme-tools", acme_plugin=hook(spec("refiner", "icp", "a:A")))
     with pytest.raises(PluginConflictError, match=naming("'icp'", "tactile-loc", "acme-tools")):
         registry().create("refiner", "icp")
+
+
+KIND = """\
+from tactile_loc.plugin import ComponentKind, hookimpl
+
+@hookimpl
+def register_kinds():
+    return [ComponentKind("camera-mount", "zeta_checks", "zeta", "a rigid mount", "tactile-loc mount {name}")]
+"""
+
+
+def test_a_package_defines_a_kind_for_components_of_other_packages(install):
+    install("acme-tools", acme_plugin=hook(spec("camera-mount", "acme", "a:A")))
+    install("zeta-tools", zeta_plugin=KIND)
+    found = registry()
+    assert found.failures == []
+    assert found.find("camera-mount", "acme").distribution == "acme-tools"
+    assert found.kinds["camera-mount"].checks == "zeta_checks"
 
 
 BROKEN = {

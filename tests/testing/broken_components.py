@@ -27,9 +27,8 @@ from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.sensors.presets import GelSlim
-from tactile_loc.slots.benchmarking import Method, ScoredPoses
 from tactile_loc.slots.component import Capabilities
-from tactile_loc.testing import contract, encoders, fusers, grids, matchers, methods, refiners, renderers, sensors
+from tactile_loc.testing import contract, encoders, fusers, grids, matchers, refiners, renderers, sensors
 from tactile_loc.testing.problems import ReferenceRenderer
 
 INFINITE = np.float32(np.inf)
@@ -403,38 +402,4 @@ FUSER = [
 ]  # fmt: skip
 
 
-class AheadOfSensor(Method):
-    """Puts the object in front of the first sensor, in two poses."""
-
-    def locate(self, problem, touches):
-        poses = np.asarray(touches[0].T_base_sensor) @ make_translation([[0, 0, 0.02], [0, 0, 0.03]])
-        return ScoredPoses(poses, np.array([0.6, 0.3]), np.array([0.6, 0.3]))
-
-
-def answering(change):
-    return then(AheadOfSensor, "locate", lambda answer, problem, touches: change(answer, touches))
-
-
-def in_sensor_frame(answer, touches):
-    return replace(answer, T_base_object=np.linalg.inv(touches[0].T_base_sensor) @ answer.T_base_object)
-
-
-def fails_on_few_pixels(answer, touches):
-    return answer if touches[0].contact_shape.contact.sum() > 10 else 1 / 0
-
-
-replace = dataclasses.replace
-METHOD = [
-    (methods.check_poses, answering(lambda a, t: replace(a, T_base_object=1.01 * a.T_base_object))),
-    (methods.check_poses, answering(lambda a, t: a.T_base_object)),
-    (methods.check_scores, answering(lambda a, t: replace(a, scores=-a.scores))),
-    (methods.check_probabilities, answering(lambda a, t: replace(a, probabilities=2 * a.scores))),
-    (methods.check_probabilities, answering(lambda a, t: replace(a, probabilities=a.scores - 0.5))),
-    (methods.check_inputs_untouched, answering(lambda a, t: scribbled(a, t[1].contact_shape.depth_m))),
-    (methods.check_base_frame, answering(in_sensor_frame)),
-    (methods.check_nearly_empty_contact, answering(fails_on_few_pixels)),
-    (methods.check_same_again,
-     drifting(AheadOfSensor, "locate", lambda a, n: replace(a, scores=a.scores * (1 + n)))),
-]  # fmt: skip
-
-BROKEN = [*COMMON, *SENSOR, *RENDERER, *GRID, *ENCODER, *MATCHER, *REFINER, *FUSER, *METHOD]
+BROKEN = [*COMMON, *SENSOR, *RENDERER, *GRID, *ENCODER, *MATCHER, *REFINER, *FUSER]

@@ -11,11 +11,6 @@ import numpy as np
 import pytest
 from press_sets import write_calibrated
 
-from tactile_loc.benchmark.methods.icp_starts import IcpFromStarts
-from tactile_loc.benchmark.methods.ours import TactileLoc
-from tactile_loc.benchmark.methods.particle_filter import ParticleFilter
-from tactile_loc.benchmark.methods.pixel_matching import PixelMatching
-from tactile_loc.benchmark.methods.transform_consensus import TransformConsensus
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import RenderError
 from tactile_loc.plugins.grids.whole import WholeGrid
@@ -23,7 +18,7 @@ from tactile_loc.plugins.matchers.faiss import FaissMatcher
 from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 from tactile_loc.slots.component import Component
 from tactile_loc.slots.encoder import Encoder
-from tactile_loc.slots.registry import BUILT_IN, KINDS, registry
+from tactile_loc.slots.registry import BUILT_IN, SLOTS, registry
 from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing import Check, list_checks, parametrize_with_checks, parametrize_with_properties
 from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, make_training_problem
@@ -33,12 +28,8 @@ FOLDER = TemporaryDirectory()
 OPTIONS = {
     ("sensor", "calibrated"): {"path": str(write_calibrated(Path(FOLDER.name)))},
     ("sensor", "file"): {"path": str(ROOT / "examples" / "my_sensor.toml")},
-    ("touch-source", "contact-mechanics-layer"): {"image_size_px": (64, 48)},
-    ("touch-source", "tamaas-half-space"): {"image_size_px": (64, 48)},
     ("encoder", "moco"): {"epochs": 2, "queries": 64, "batch": 32, "channels": 4, "noise": "none"},
 }
-ELSEWHERE = ("taxim", "tactile-mnist", "gelslim-shapes")  # tests/benchmark/test_image_sources.py checks these sources
-LONG = (TactileLoc, IcpFromStarts, ParticleFilter, PixelMatching, TransformConsensus)  # they take seconds
 VARIANTS = [
     FaissMatcher(FaissMatcher.Options(kind="hnsw", top_k=50)),
     FaissMatcher(FaissMatcher.Options(kind="ivf", top_k=50)),
@@ -49,7 +40,7 @@ VARIANTS = [
 def built_ins() -> Iterator[Component]:
     """All components of this distribution; installed plugins have their own tests."""
     for found in registry().components:
-        if found.distribution == BUILT_IN and found.spec.name not in ELSEWHERE:
+        if found.distribution == BUILT_IN:
             key = (found.spec.slot, found.spec.name)
             yield registry().create(*key, OPTIONS.get(key))
 
@@ -59,19 +50,13 @@ def quick(component: Component) -> Component:
     return WholeGrid(WholeGrid.Options(directions=1000)) if isinstance(component, WholeGrid) else component
 
 
-ALL = [component for component in [*built_ins(), *VARIANTS] if not isinstance(component, LONG)]
+ALL = [*built_ins(), *VARIANTS]
 QUICK = [quick(component) for component in ALL]
 
 
 @parametrize_with_checks(ALL)
 def test_contract(component, check):
     try_on(component, check)
-
-
-@pytest.mark.slow
-@parametrize_with_checks([method() for method in LONG])
-def test_contract_of_a_method_that_takes_long(component, check):
-    check(component)
 
 
 @parametrize_with_properties(QUICK)
@@ -106,5 +91,5 @@ def skip_without_opengl(renderer: Renderer) -> None:
 
 def test_all_slots_are_checked():
     chosen = {c.slot: len(list_checks(c)) for c in built_ins()}
-    assert chosen.keys() == set(KINDS)
+    assert chosen.keys() == set(SLOTS)
     assert min(chosen.values()) > 8

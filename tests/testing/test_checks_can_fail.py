@@ -6,8 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from broken_components import BROKEN as BROKEN_COMPONENTS
-from broken_sources import BROKEN_SOURCES
+from broken_components import BROKEN
 
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
@@ -19,16 +18,13 @@ from tactile_loc.testing import (
     grids,
     list_checks,
     matchers,
-    methods,
     parametrize_with_checks,
     refiners,
     renderers,
     sensors,
-    touch_sources,
 )
 
-MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers, methods, touch_sources)
-BROKEN = [*BROKEN_COMPONENTS, *BROKEN_SOURCES]
+MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers)
 
 
 @pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "__name__", type(x).__name__))

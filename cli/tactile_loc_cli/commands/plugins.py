@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.slots.registry import KINDS
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.failures import Finding
 from tactile_loc_cli.options import require_slot, set_option
@@ -75,7 +74,7 @@ def plugins(
 def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
     if slot is not None:
         require_slot(slot)
-    shown = [c for s in KINDS for c in found.components if c.spec.slot == s and slot in (None, s)]
+    shown = [c for s in found.kinds for c in found.components if c.spec.slot == s and slot in (None, s)]
     components = [_describe_component(c) for c in shown]
     _say_columns(("slot", "name", "distribution", "summary"), components)
     conflicts = _find_conflicts(shown)

@@ -21,25 +21,11 @@ Out = Annotated[
 def report(result: Result, out: Out = None) -> dict[str, Any]:
     """Show a result as one HTML file.
 
-    The result may be a run, an evaluation, a sweep or a benchmark. The file is self-contained and works offline.
+    The result may be a run, an evaluation or a sweep. The file is self-contained and works offline.
     """
-    from tactile_loc.benchmark.files import find_benchmark
+    from tactile_loc.reports import find_source, write_report
 
-    if (document := find_benchmark(result)) is not None:
-        kind, path, written = "benchmark", document, _write_benchmark_page(document, out)
-    else:
-        from tactile_loc.reports import find_source, write_report
-
-        source = find_source(result)
-        kind, path, written = source.kind, source.path, write_report(source, out)
+    source = find_source(result)
+    written = write_report(source, out)
     say(f"written: {written}")
-    return {"kind": kind, "result": str(path), "report": str(written)}
-
-
-def _write_benchmark_page(document: Path, out: Path | None) -> Path:
-    from tactile_loc.benchmark.files import read_benchmark
-    from tactile_loc.benchmark.page import make_benchmark_page
-    from tactile_loc.reports.report import choose_path, write_page
-
-    path = choose_path(document.parent, out)
-    return write_page(make_benchmark_page(*read_benchmark(document)), path)
+    return {"kind": source.kind, "result": str(source.path), "report": str(written)}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tactile_loc.slots.registry import KINDS
+from tactile_loc.slots.registry import registry
 from tactile_loc_cli.scaffold.naming import Naming
-from tactile_loc_cli.scaffold.package import SUMMARIES, render
+from tactile_loc_cli.scaffold.package import describe_example, render
 
 INTRODUCTION = """\
 # An example of each slot
@@ -26,8 +26,9 @@ hook and the packaging, which are the same for every slot.
 
 def make_examples() -> str:
     """Return the text of docs/plugin-examples.md."""
-    rows = "".join(f"| [{slot}](#{slot}) | {SUMMARIES[slot]} |\n" for slot in KINDS)
-    return INTRODUCTION + rows + "".join(map(_show, KINDS))
+    kinds = registry().kinds
+    rows = "".join(f"| [{kind}](#{kind}) | {describe_example(kind)} |\n" for kind in kinds)
+    return INTRODUCTION + rows + "".join(map(_show, kinds))
 
 
 def _show(slot: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from tactile_loc.core.runtime.errors import ConfigError, PluginConflictError
-from tactile_loc.slots.registry import SLOTS
+from tactile_loc.slots.registry import registry
 from tactile_loc_cli.options import require_slot
 
 KEBAB = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -58,14 +58,11 @@ class Naming:
     @property
     def usage(self) -> str:
         """The command that uses the component."""
-        if self.slot in SLOTS:
-            return f"tactile-loc run --{self.slot} {self.name}"
-        return f"tactile-loc benchmark --{self.slot.removeprefix('touch-')} {self.name}"
+        kind = registry().kinds[self.slot]
+        return kind.usage.format(name=self.name) if kind else f"tactile-loc run --{self.slot} {self.name}"
 
     def require_free(self) -> None:
         """Raise PluginConflictError if a component of the slot or an installed package already has this name."""
-        from tactile_loc.slots.registry import registry
-
         for found in registry().components:
             if (found.spec.slot, found.spec.name) == (self.slot, self.name):
                 raise PluginConflictError(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
 
 from tactile_loc.core.runtime.errors import OutputError
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.files import replace_folder
 from tactile_loc_cli.scaffold.naming import Naming
 
@@ -20,15 +22,19 @@ SUMMARIES = {
     "matcher": "compares with every row of the bank",
     "refiner": "slides the contact's centre onto the touch's",
     "fuser": "product of the touches' probabilities and the prior",
-    "touch-source": "contact shapes by ray casting, with errors of the press depth",
-    "method": "the best of many random poses",
 }
+
+
+def describe_example(slot: str) -> str:
+    """Return the summary of the component in a slot's template."""
+    kind = registry().kinds[slot]
+    return kind.example if kind else SUMMARIES[slot]
 
 
 def render(naming: Naming) -> dict[str, str]:
     """Return the text of each file of the package. The keys are the files' paths in the package's folder."""
     named = ("slot", "name", "distribution", "package", "class_name", "module", "usage")
-    values = {**{name: getattr(naming, name) for name in named}, "summary": SUMMARIES[naming.slot]}
+    values = {**{name: getattr(naming, name) for name in named}, "summary": describe_example(naming.slot)}
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",
@@ -36,7 +42,9 @@ def render(naming: Naming) -> dict[str, str]:
         f"{naming.package}/{naming.module}.py": f"{naming.module}.py",
         f"tests/test_{naming.name.replace('-', '_')}.py": f"test_{naming.module}.py",
     }
-    return {path: _template(template).substitute(values) for path, template in templates.items()}
+    kind = registry().kinds[naming.slot]
+    own = files(kind.templates if kind else __package__) / "templates"
+    return {path: _read_template(template, own).substitute(values) for path, template in templates.items()}
 
 
 def write(naming: Naming, folder: Path) -> list[str]:
@@ -57,5 +65,8 @@ def write(naming: Naming, folder: Path) -> list[str]:
     return sorted(made)
 
 
-def _template(name: str) -> Template:
-    return Template((files("tactile_loc_cli.scaffold") / "templates" / f"{name}.tmpl").read_text(encoding="utf-8"))
+def _read_template(name: str, own: Traversable) -> Template:
+    """Return a template of the folder `own`, or the one that all slots share."""
+    file = own / f"{name}.tmpl"
+    found = file if file.is_file() else files(__package__) / "templates" / f"{name}.tmpl"
+    return Template(found.read_text(encoding="utf-8"))

@@ -1,0 +1,1 @@
+"""Contract checks of touch sources and methods."""

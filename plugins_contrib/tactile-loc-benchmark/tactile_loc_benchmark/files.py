@@ -1,0 +1,185 @@
+"""The files of a benchmark: benchmark.json and .md, leaderboard.json, rows.parquet, pictures, and the files of BOP."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tactile_loc.core.runtime.errors import ResultError
+from tactile_loc.core.runtime.formatting import format_mm
+from tactile_loc.core.runtime.limits import list_values, require_table
+from tactile_loc.evaluation.recall.bop import write_bop
+from tactile_loc.evaluation.recall.tables import format_share
+from tactile_loc.evaluation.sweep.results import write_parquet
+from tactile_loc.evaluation.sweep.sweep import require_tables
+from tactile_loc.evaluation.tabular import Table, format_json, format_markdown, write_texts
+from tactile_loc.io.streams.records import read_document
+from tactile_loc.reports.page import name_damage
+
+from tactile_loc_benchmark.bop_scenes import make_scenes
+from tactile_loc_benchmark.job import Row
+from tactile_loc_benchmark.leaderboard import record_leaderboard
+from tactile_loc_benchmark.results import Results, UsedMethod, UsedSource
+from tactile_loc_benchmark.suite import Entry, Suite
+from tactile_loc_benchmark.summary import WITHIN_M, Group, format_within
+
+HEAD = (
+    "source", "touches", "method", "within 0.5 mm", "1 mm (95 % interval)", "2 mm", "5 mm", "any listed, 1 mm",
+    "median, mm", "determined: within 1 mm", "median, mm", "AUC", "MSSD", "calibration error", "covered, 95 %",
+    "certain: right", "time",
+)  # fmt: skip
+TABLE_NOTE = (
+    "A pose is measured by its surface distance. The first shares are of examples whose first pose is near enough. "
+    "Examples without a pose count as missed. Intervals are bootstrap intervals over the examples. Determined: "
+    "examples in which no method lists a wrong pose that explains the touches as well as the true pose. AUC: mean "
+    "share within 0.1, 0.2, ... 5 mm. MSSD: average recall of BOP. Certain: examples that the method calls certain."
+)
+NAME, ROWS = "benchmark", "rows.parquet"
+POSES = ("T_base_object", "true_T_base_object", "scores")  # values of a row that are not in the table of rows
+
+
+def write_benchmark(out: Path, results: Results, pictures: Sequence[Mapping[str, Any]] = ()) -> list[Path]:
+    """Write all results into the folder `out`, and return the paths. Raises OutputError.
+
+    `pictures` shows a touch of each source: see `page.show_sources`.
+    """
+    document = {**record_benchmark(results), "pictures": list(pictures)}
+    written = write_texts(out, NAME, json=format_json(document), md=format_summary(results))
+    if results.rows:
+        written += write_texts(out, "leaderboard", json=format_json(record_leaderboard(results)))
+        written.append(write_parquet(out / ROWS, make_table(results)))
+        ids, *_ = write_bop(out, make_scenes(results.rows), "benchmark")
+        written.append(ids.parent)
+    return written
+
+
+def record_benchmark(results: Results) -> dict[str, Any]:
+    """Return the leaderboard's document with the suite's objects, its components, and the failures, as JSON values."""
+    return {
+        **record_leaderboard(results),
+        "plan": results.suite.model_dump(mode="json"),
+        "left_out": results.left_out,
+        "failed": list(results.failed),
+    }
+
+
+def read_benchmark(folder: Path) -> tuple[Results, list[Mapping[str, Any]]]:
+    """Return the results, with rows without poses, and the pictures that `write_benchmark` wrote into a folder.
+
+    Raises ResultError if a file is missing or damaged, or if there are no rows, and MissingLibraryError without pandas.
+    """
+    path = folder / f"{NAME}.json"
+    document = read_document(path)
+    with name_damage(path):
+        suite = Suite.model_validate(document["plan"])
+        sources = [UsedSource(**_read_used(document, "sources", one)) for one in suite.source]
+        methods = [UsedMethod(**_read_used(document, "methods", one)) for one in suite.method]
+        rows, about = _read_rows(path.with_name(ROWS)), (document["versions"], document["created"])
+        return Results(suite, sources, methods, rows, document["failed"], *about), document["pictures"]
+
+
+def _read_used(document: Mapping[str, Any], kind: str, entry: Entry) -> dict[str, Any]:
+    """Return what the document states about an entry of the suite; only its name, if it was left out."""
+    described = document[kind].get(entry.label, {"name": entry.name})
+    return {"label": entry.label, **described, "problem": document["left_out"].get(entry.label, "")}
+
+
+def make_table(results: Results) -> Any:
+    """Return all rows as a pandas table, without the listed poses."""
+    import pandas as pd
+
+    return pd.DataFrame([{key: value for key, value in row.items() if key not in POSES} for row in results.rows])
+
+
+def _read_rows(path: Path) -> list[Row]:
+    """Return the rows of `make_table`. Values that a row lacks are left out."""
+    require_tables("a benchmark", "benchmark")
+    from pyarrow import parquet
+
+    if not path.is_file():
+        raise ResultError(f"there is no file {path}: no job of the benchmark has succeeded, or the file was moved")
+    try:
+        table = parquet.read_table(path, read_dictionary=require_table(parquet.read_metadata(path)))
+    except (OSError, ValueError) as error:
+        raise ResultError(f"{path} cannot be read ({error}); run the benchmark again") from error
+    rows = zip(*map(list_values, table.columns), strict=True)
+    return [
+        {key: value for key, value in zip(table.column_names, row, strict=True) if value is not None and value == value}
+        for row in rows
+    ]
+
+
+def describe_suite(results: Results) -> str:
+    """Return a sentence about the suite."""
+    suite = results.suite
+    summary = f"{suite.summary}. " if suite.summary else ""
+    return f"{summary}{suite.examples} examples of each object, seed {suite.seed}."
+
+
+def format_summary(results: Results) -> str:
+    """Return the tables as Markdown."""
+    parts = [f"# Benchmark: {results.suite.name}\n", f"{describe_suite(results)} {TABLE_NOTE}\n"]
+    if results.rows:
+        parts.append(format_markdown(tabulate(results.groups)))
+    parts += ["## Sources\n", format_markdown(tabulate_sources(results))]
+    parts += ["## Methods\n", format_markdown(tabulate_methods(results))]
+    if results.failed:
+        parts += ["## Failures\n", format_markdown(tabulate_failures(results))]
+    return "\n".join(parts)
+
+
+def tabulate_sources(results: Results) -> Table:
+    """Return a row for each source: its licence, versions and number of objects, or why it was left out."""
+    rows = [["source", "licence", "versions", "objects", "left out"]]
+    for one in results.sources:
+        objects = str(len(one.objects) or "-")
+        rows.append([one.label, one.licence or "-", _join_versions(one.libraries), objects, one.problem])
+    return rows
+
+
+def tabulate_methods(results: Results) -> Table:
+    """Return a row for each method: the paper that it follows and its versions, or why it was left out."""
+    rows = [["method", "follows", "versions", "left out"]]
+    for one in results.methods:
+        rows.append([one.label, one.paper or "-", _join_versions(one.libraries), one.problem])
+    return rows
+
+
+def tabulate_failures(results: Results) -> Table:
+    """Return a row for each job that ended with an error."""
+    header = ["source", "object", "method", "error"]
+    return [header, *([failed[name] for name in header] for failed in results.failed)]
+
+
+def _join_versions(libraries: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in libraries.items()) or "-"
+
+
+def tabulate(groups: Sequence[Group]) -> Table:
+    """Return a table with a row for each group, sorted by source and number of touches, the header first."""
+    order = {source: number for number, source in enumerate(dict.fromkeys(group.source for group in groups))}
+    ordered = sorted(groups, key=lambda group: (order[group.source], group.touches))
+    return [list(HEAD), *(list(list_cells(group)) for group in ordered)]
+
+
+def list_cells(group: Group) -> Iterator[str]:
+    """Yield the cells of a group under HEAD."""
+    yield from (group.source, str(group.touches), group.method)
+    near = WITHIN_M.index(1e-3)
+    for number, share in enumerate(group.within):
+        yield format_within(group, number) if number == near else format_share(share)
+    yield format_share(group.listed_within[near])
+    yield _format_length(group.median_m)
+    yield f"{format_share(group.determined_within_1_mm)} of {group.determined}"
+    yield _format_length(group.median_determined_m)
+    yield f"{group.auc:.2f}"
+    yield f"{group.average_recall_mssd:.2f}"
+    yield "-" if group.calibration_error is None else f"{group.calibration_error:.2f}"
+    yield format_share(group.covered)
+    yield f"{group.certain_right} of {group.certain}" if group.certain else "-"
+    yield "-" if group.median_s is None else f"{1e3 * group.median_s:.0f} ms"
+
+
+def _format_length(length_m: float | None) -> str:
+    return "-" if length_m is None else format_mm(length_m)

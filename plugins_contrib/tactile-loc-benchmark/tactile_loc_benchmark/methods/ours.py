@@ -1,0 +1,46 @@
+"""tactile-loc itself as a method of the benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.store.store import StageStore
+
+from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
+
+
+class TactileLoc(Method):
+    """Locates with `localize_together`, by default or with other settings."""
+
+    class Options(ComponentOptions):
+        """The settings."""
+
+        settings: dict[str, Any] = Field(
+            default_factory=dict, description="entries of a configuration, such as {refiner = 'icp'}"
+        )
+
+    def prepare(self, problem: LocatingProblem) -> None:
+        """Build the object's model, and fit its probabilities."""
+        self._localizer = _make_localizer(self.options.settings, problem)
+        self._localizer.describe_scores()
+        fitted = self._localizer.probabilities
+        _ = fitted.temperature_scaling, fitted.fused_scaling
+
+    def locate(self, problem: LocatingProblem, touches: Sequence[Touch]) -> ScoredPoses:
+        """Return the listed poses with their probabilities, and the verdict."""
+        found = localize_together([(self._localizer, touch) for touch in touches])
+        T = np.asarray(found.touch.T_base_sensor) @ np.stack([h.T_sensor_object for h in found.hypotheses])
+        p = np.array([hypothesis.probability for hypothesis in found.hypotheses])
+        return ScoredPoses(T, p, p, found.verdict.value)
+
+
+def _make_localizer(settings: dict[str, Any], problem: LocatingProblem) -> Localizer:
+    config = RunConfig.from_dict({**settings, "sensor": dict(problem.sensor)}, "the method tactile-loc")
+    return Localizer(config, problem.object, StageStore(problem.folder))

@@ -1,0 +1,108 @@
+"""Calibration of a source's sensor on images of the source itself, with the same steps as `tactile-loc calibrate`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tactile_loc.core.geometry.rigid import make_transform
+from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.core.sensing.scene import Scene
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.io.images import write_image
+from tactile_loc.sensors.calibration.frames import PressImage, read_frames
+from tactile_loc.sensors.calibration.outcome import calibrate_folder
+from tactile_loc.sensors.calibration.unlabelled import find_presses, write_labels
+from tactile_loc.slots.registry import registry
+from tactile_loc.store.store import StageStore
+
+from tactile_loc_benchmark.interfaces import Image, SimulatedSource
+
+RENDERER = "raycast"
+INSIDE = 0.2  # the ball's centre keeps this share of the image's sides from the border
+ABOVE_M = 5e-3  # distance between the ball and the gel in the image of the untouched gel
+LIGHT_M = 1e-4  # nominal press of the untouched gel
+ROUNDS = 5  # of the division of an icosahedron's faces; the ball is round to a micrometre
+
+
+@dataclass(frozen=True)
+class BallPresses:
+    """Presses of a ball of `radius_m` at random places, by `depth_m` (least, most); all in metres."""
+
+    radius_m: float = 3e-3
+    count: int = 50
+    depth_m: tuple[float, float] = (0.3e-3, 0.9e-3)
+    seed: int = 31
+
+    def draw_poses(self, camera: SensorGeometry) -> list[tuple[np.ndarray, float]]:
+        """Return the pressed ball's poses (4, 4) and the press depths, metres.
+
+        The first ball is above the gel. Poses and depths depend only on the seed.
+        """
+        rng = np.random.default_rng(self.seed)
+        x0, x1, y0, y1 = camera.rectangle
+        poses = [(self._place(camera, (x0 + x1) / 2, (y0 + y1) / 2, -ABOVE_M), LIGHT_M)]
+        for _ in range(self.count):
+            x, y = np.array([x0, y0]) + np.array([x1 - x0, y1 - y0]) * (INSIDE + (1 - 2 * INSIDE) * rng.random(2))
+            press_m = float(rng.uniform(*self.depth_m))
+            poses.append((self._place(camera, x, y, press_m), press_m))
+        return poses
+
+    def _place(self, camera: SensorGeometry, x_m: float, y_m: float, press_m: float) -> np.ndarray:
+        return make_transform(np.eye(3), [x_m, y_m, camera.surface_m - press_m + self.radius_m])
+
+    def make_object(self) -> ObjectModel:
+        """Return the ball, with its centre at the origin."""
+        import trimesh
+
+        ball = trimesh.creation.icosphere(ROUNDS, self.radius_m)
+        mesh = TriangleMesh(np.asarray(ball.vertices, np.float64), np.asarray(ball.faces, np.int64))
+        return ObjectModel("ball", mesh, SymmetryGroup.parse("none", mesh.centroid_m))
+
+
+def calibrate_on_balls(source: SimulatedSource, camera: SensorGeometry, folder: Path, balls: BallPresses) -> Path:
+    """Press a ball with a source that draws images, calibrate the `camera` on them, and return the sensor's folder.
+
+    The balls are found in the images, as by `tactile-loc calibrate` without a table. Images and sensor are written into
+    `folder`. Raises CalibrationError if the images cannot be used.
+    """
+    presses = folder / "presses"
+    presses.mkdir(parents=True, exist_ok=True)
+    for number, image in enumerate(press_ball(source, camera, balls)):
+        write_image(presses / f"image-{number:03d}.png", image)
+    label_balls(presses, read_frames(presses)[1], balls.radius_m, camera.pixel_pitch_m)
+    return calibrate_sensor(presses, camera, folder / "sensor")
+
+
+def press_ball(source: SimulatedSource, camera: SensorGeometry, balls: BallPresses) -> list[Image]:
+    """Return images (H, W, 3) uint8 of the untouched gel, and of the presses of a ball.
+
+    Raises CalibrationError if the source draws no images.
+    """
+    ball, renderer = balls.make_object(), registry().create("renderer", RENDERER, {})
+    images: list[Image] = []
+    for number, (T, press_m) in enumerate(balls.draw_poses(camera)):
+        scene = Scene(ball, camera.press(press_m, camera.max_depth_m), renderer)
+        image: Any = source.press(scene, T, np.random.default_rng([balls.seed, number]))
+        if not isinstance(image, np.ndarray):
+            raise CalibrationError("the source draws contact shapes, not images; its sensor needs no calibration")
+        images.append(image)
+    return images
+
+
+def label_balls(folder: Path, frames: Sequence[PressImage], radius_m: float, pitch_m: float) -> None:
+    """Find the balls in images, and write the table `presses.csv`. Raises CalibrationError if no ball is found."""
+    (folder / "presses.csv").unlink(missing_ok=True)
+    found = find_presses(frames, radius_m / pitch_m)
+    write_labels(folder, found, 1e3 * radius_m, 1e3 * pitch_m)
+
+
+def calibrate_sensor(presses: Path, camera: SensorGeometry, folder: Path) -> Path:
+    """Calibrate a sensor on a folder of presses with its table, and write it to `folder`. Raises CalibrationError."""
+    store = StageStore(folder.parent / "store")  # keeps the stages of an interrupted calibration
+    return calibrate_folder(presses, camera, store=store).write(folder)

@@ -1,0 +1,48 @@
+"""Touches drawn by a renderer of tactile-loc, with its model of the gel and of noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.sensing.gel import GelKind
+from tactile_loc.core.sensing.noise import NoiseLevel, make_noise
+from tactile_loc.core.sensing.scene import Scene
+from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.evaluation.robot_touches import measure_noisily
+from tactile_loc.slots.registry import registry
+
+from tactile_loc_benchmark.interfaces import SimulatedSource
+
+
+class SimulatedTouches(SimulatedSource):
+    """Draws contact shapes with a renderer that the default method does not use."""
+
+    licence: ClassVar[str] = "own"
+
+    class Options(ComponentOptions):
+        """The renderer, the sensor and the noise."""
+
+        renderer: Literal["raycast", "zbuffer", "heightmap", "pyrender"] = Field(
+            default="raycast", description="the renderer that draws the touches"
+        )
+        sensor: str = Field(default="gelsight-mini", description="the sensor's name")
+        gel: GelKind = Field(default="rigid", description="the sensor's gel: rigid or layer")
+        noise: NoiseLevel = Field(default="none", description="the noise of the touches: none, mild or strong")
+
+    def prepare_sensor(self, folder: Path) -> Mapping[str, Any]:
+        """Return the sensor's table; nothing has to be calibrated."""
+        return {"name": self.options.sensor, "gel": self.options.gel}
+
+    def press(self, scene: Scene, T_sensor_object: Poses, rng: np.random.Generator) -> ContactShape:
+        """Return the contact shape that the gel shows."""
+        renderer = registry().create("renderer", self.options.renderer, {})
+        geometry, press_m = scene.geometry, scene.geometry.indentation_m
+        clean = Scene(scene.object, geometry, renderer).render_gel_depths(T_sensor_object[None])
+        depth_m, measured_m = measure_noisily(make_noise(self.options.noise), clean, press_m, geometry, rng)
+        return ContactShape(depth_m, measured_m)

@@ -1,0 +1,206 @@
+"""A suite: objects, sources of touches, methods, and how many touches of each example are located together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from tactile_loc.core.runtime.errors import (
+    ConfigError,
+    MissingLibraryError,
+    UnknownPluginError,
+    did_you_mean,
+    name_source,
+)
+from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.evaluation.fusion import MOST_FUSED
+from tactile_loc.io.config import ObjectConfig
+from tactile_loc.io.toml import explain, read_toml
+from tactile_loc.slots.registry import registry
+from tactile_loc.store.keys import hash_code
+
+SUITES, SPLITS = "suites", "objects.toml"
+OWN = __name__.partition(".")[0]
+HERE = "data:"  # a path of a mesh or of recordings that begins with this word is in the folder `data` of a suite
+
+
+class Entry(BaseModel):
+    """A touch source or a method of a suite: a component with its options, and a `label` for tables."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    label: str
+    options: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _unfold(cls, value: Any) -> Any:
+        """Accept "icp" and {name = "icp", label = "ICP", starts = 30} as well as the full form."""
+        table = {"name": value} if isinstance(value, str) else dict(value) if isinstance(value, Mapping) else value
+        if isinstance(table, dict) and "options" not in table:
+            label = table.pop("label", table.get("name"))
+            name = table.pop("name", None)
+            return {"name": name, "label": label, "options": table}
+        return table
+
+
+class Suite(BaseModel):
+    """What a benchmark measures.
+
+    Each source draws `examples` examples of each object, with as many touches as the largest number of `touches`. Every
+    method locates an example from its first n touches, for each n of `touches`. Presses are drawn uniformly between the
+    shares `press` of the sensor's deepest press. `seed` fixes all random choices. `data` is the folder of recordings
+    and further meshes.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: str = Field(description="a text")
+    summary: str = Field(default="", description="a text")
+    objects: tuple[ObjectConfig, ...] = Field(min_length=1, description="a list of objects, or the name of a split")
+    touches: tuple[int, ...] = Field(min_length=1, description=f"a list of whole numbers, 1 to {MOST_FUSED}")
+    examples: int = Field(ge=1, description="a whole number, 1 or more")
+    seed: int = Field(ge=0, description="a whole number, 0 or more")
+    press: tuple[float, float] = Field(default=(0.3, 0.9), description="two shares of the deepest press, 0 to 1")
+    data: Path | None = Field(default=None, description="a folder")
+    source: tuple[Entry, ...] = Field(min_length=1, description="one or more tables [[source]]")
+    method: tuple[Entry, ...] = Field(min_length=1, description="one or more tables [[method]]")
+
+    @classmethod
+    def from_toml(cls, suite: str | Path, data: Path | None = None) -> Self:
+        """Read a suite by its name, or from a TOML file. `data` is the folder of paths that begin with `HERE`.
+
+        Raises ConfigError for a file that is missing or wrong, and PluginError for a component that cannot be used. A
+        component whose library is missing is no error.
+        """
+        path = _find_suite(suite)
+        with name_source(path):
+            return cls.from_values(read_toml(path), str(path), data)
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any], source: str, data: Path | None = None) -> Self:
+        """Make a suite from the values of a TOML file. `source` names the file in messages."""
+        values = {**values, "objects": _read_objects(values.get("objects"), data), "data": data}
+        try:
+            suite = cls(**values)
+        except ValidationError as error:
+            raise ConfigError(f"{source}: {explain(error, cls, values, 'a suite')}") from error
+        if not all(1 <= n <= MOST_FUSED for n in suite.touches):
+            numbers = list(suite.touches)
+            raise ConfigError(f"{source}: touches = {numbers} is wrong; give numbers from 1 to {MOST_FUSED}")
+        if not 0 < suite.press[0] <= suite.press[1] <= 1:
+            raise ConfigError(f"{source}: press = {list(suite.press)} is wrong; give two shares, 0 to 1, in order")
+        for kind, entries in (("touch-source", suite.source), ("method", suite.method)):
+            _require_entries(kind, entries, source)
+        return suite
+
+    def select(self, sources: Iterable[str] | None = None, methods: Iterable[str] | None = None) -> Suite:
+        """Return the suite with only some sources and methods, by label. A component's name adds that component.
+
+        Raises UnknownPluginError if a word is neither a label nor a component's name, and ConfigError if an added
+        component needs options.
+        """
+        return self.model_copy(update={
+            "source": self.source if sources is None else _choose("touch-source", self.source, sources),
+            "method": self.method if methods is None else _choose("method", self.method, methods),
+        })  # fmt: skip
+
+    def describe_protocol(self) -> dict[str, Any]:
+        """Return what determines the touches of a source, besides the source and the objects, as JSON values."""
+        return self.model_dump(mode="json", include={"touches", "examples", "seed", "press"})
+
+
+def list_suites() -> list[str]:
+    """Return the names of the suites that come with tactile-loc."""
+    folder = files(__package__) / SUITES
+    return sorted(file.name.removesuffix(".toml") for file in folder.iterdir() if _is_suite(file.name))
+
+
+def read_split(name: str) -> list[Any]:
+    """Return the objects of a split, as written in the file of splits. Raises ConfigError for another name."""
+    splits = read_toml(str(files(__package__) / SUITES / SPLITS))
+    if name not in splits:
+        raise ConfigError(f"there is no split {name!r}.{did_you_mean(name, splits)} Known: {', '.join(splits)}")
+    return list(splits[name])
+
+
+def _is_suite(name: str) -> bool:
+    return name.endswith(".toml") and name != SPLITS
+
+
+def _find_suite(suite: str | Path) -> Path:
+    known = list_suites()
+    if str(suite) in known:
+        return Path(str(files(__package__) / SUITES / f"{suite}.toml"))
+    if "/" in str(suite) or str(suite).endswith(".toml"):
+        return Path(suite)
+    raise ConfigError(f"there is no suite {str(suite)!r}.{did_you_mean(str(suite), known)} Known: {', '.join(known)}")
+
+
+def _read_objects(entries: Any, data: Path | None) -> Any:
+    """Return the tables of objects, given a list or the name of a split. Objects need `data` if they are in it."""
+    listed = read_split(entries) if isinstance(entries, str) else entries
+    if not isinstance(listed, list):
+        return listed
+    return [_locate_object(entry if isinstance(entry, Mapping) else {"path": entry}, data) for entry in listed]
+
+
+def _locate_object(table: Mapping[str, Any], data: Path | None) -> dict[str, Any]:
+    path = str(table.get("path", ""))
+    if path.startswith(HERE):
+        path = find_in_data(path, data)
+    elif path and path not in DEMO_OBJECTS:
+        own = files(__package__) / SUITES / path
+        path = str(own) if own.is_file() else str(Path(path).expanduser().absolute())
+    return {**table, "path": path}
+
+
+def find_in_data(path: str, data: Path | None) -> str:
+    """Return the absolute path of a path that begins with `HERE`. Raises ConfigError without a folder `data`."""
+    if data is None:
+        raise ConfigError(f"{path} is in the folder `data` of the benchmark; give this folder")
+    return str(data.expanduser().absolute() / path.removeprefix(HERE))
+
+
+def _require_entries(kind: str, entries: Iterable[Entry], source: str) -> None:
+    """Raise TactileLocError if a component is unknown or an option is wrong; a missing library is no error."""
+    labels: set[str] = set()
+    for entry in entries:
+        if entry.label in labels:
+            raise ConfigError(f"{source}: two entries are called {entry.label!r}; give each {kind} a label of its own")
+        labels.add(entry.label)
+        with suppress(MissingLibraryError), name_source(source):
+            create(kind, entry)
+
+
+def _choose(kind: str, entries: Iterable[Entry], words: Iterable[str]) -> tuple[Entry, ...]:
+    known = {entry.label: entry for entry in entries}
+    chosen = []
+    for word in words:
+        entry = known.get(word) or Entry(name=word, label=word)
+        try:
+            _require_entries(kind, [entry], "the benchmark")
+        except UnknownPluginError as error:
+            raise UnknownPluginError(f"{error}. Labels in the suite: {', '.join(known)}") from error
+        chosen.append(entry)
+    return tuple({entry.label: entry for entry in chosen}.values())
+
+
+def hash_component_code(kind: str, entry: Entry) -> str:
+    """Return a hash of the code of an entry's component: of the package that its plugin installs.
+
+    For a component of this benchmark, it is the package that contains the component's module. Raises TactileLocError.
+    """
+    module = registry().find(kind, entry.name).spec.target.partition(":")[0]
+    package = module.partition(".")[0]
+    return hash_code(module.rpartition(".")[0] if package == OWN else package)
+
+
+def create(kind: str, entry: Entry) -> Any:
+    """Return the component of an entry. Raises TactileLocError if it cannot be made."""
+    return registry().create(kind, entry.name, entry.options)

@@ -1,0 +1,84 @@
+"""The files of a benchmark, and leaderboard files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+from tactile_loc.core.runtime.errors import ResultError
+
+from tactile_loc_benchmark.files import HEAD, tabulate, write_benchmark
+from tactile_loc_benchmark.leaderboard import read_standings
+
+
+@pytest.fixture(scope="module")
+def written(finished, tmp_path_factory):
+    out = tmp_path_factory.mktemp("files")
+    write_benchmark(out, finished.results)
+    return out
+
+
+def test_the_table_has_a_row_for_each_group(finished):
+    groups = finished.results.groups
+    header, *rows = tabulate(groups)
+    assert header == list(HEAD)
+    assert len(rows) == len(groups)
+    first = dict(zip(header, rows[0], strict=False))
+    assert (first["source"], first["touches"], first["method"]) == ("sketch", "1", "oracle")
+    assert first["1 mm (95 % interval)"] == "100 % (100 to 100)"
+    assert [row[1] for row in rows if row[0] == "sketch"] == ["1", "1", "2", "2"]
+
+
+def test_the_markdown_has_a_row_for_what_was_left_out(written, finished):
+    text = (written / "benchmark.md").read_text()
+    for label, problem in finished.left_out.items():
+        (line,) = [line for line in text.splitlines() if line.startswith(f"| {label} |")]
+        assert problem in line
+    assert "public domain" in text
+    assert "Anyone, anywhere" in text
+
+
+def test_all_rows_are_in_the_parquet_file(written, finished):
+    table = pd.read_parquet(written / "rows.parquet")
+    assert len(table) == len(finished.results.rows)
+    assert table["surface_mm"].iloc[0] == finished.results.rows[0]["surface_mm"]
+
+
+def test_the_failures_are_recorded(run_small, tmp_path):
+    found = run_small(tmp_path, method=["oracle", {"name": "guess", "fault": "error"}])
+    write_benchmark(tmp_path, found.results)
+    (failed,) = json.loads((tmp_path / "benchmark.json").read_text())["failed"]
+    assert (failed["method"], failed["error"]) == ("guess", "ValueError: nothing works")
+    assert "ValueError: nothing works" in (tmp_path / "benchmark.md").read_text()
+
+
+def test_a_leaderboard_file_is_read_back_and_names_no_path(written, finished, box_file):
+    text = (written / "leaderboard.json").read_text()
+    assert str(box_file.parent) not in text
+    standings = list(read_standings(written / "leaderboard.json"))
+    assert [standing.group for standing in standings] == finished.results.groups
+    assert standings[0].suite == "small"
+    assert standings[0].libraries["bench-fakes"] == "1.5"
+    assert standings[-1].component == "guess"
+
+
+def test_only_the_protocol_the_source_and_the_objects_change_the_hash(finished, make_suite):
+    source, suite = finished.sources[0], finished.suite
+    known = source.hash_protocol(suite)
+    assert source.hash_protocol(make_suite(method=["guess"])) == known
+    assert source.hash_protocol(make_suite(seed=8)) != known
+    assert finished.sources[1].hash_protocol(suite) != known
+    assert replace(source, libraries={"numpy": "9"}).hash_protocol(suite) == known
+    elsewhere = replace(source, entry=source.entry.model_copy(update={"options": {"data": "/somewhere/else"}}))
+    assert elsewhere.hash_protocol(suite) == known
+
+
+@pytest.mark.parametrize("change", [{"schema_version": 0}, {"groups": [{}]}, {"sources": {}}])
+def test_a_damaged_leaderboard_file_gives_an_error(written, tmp_path, change):
+    document = json.loads((written / "leaderboard.json").read_text())
+    path = tmp_path / "leaderboard.json"
+    path.write_text(json.dumps({**document, **change}))
+    with pytest.raises(ResultError, match=r"leaderboard\.json"):
+        list(read_standings(path))
