@@ -22,10 +22,7 @@ from tactile_loc.evaluation.recall.evaluation import RecallEvaluation
 from tactile_loc.evaluation.recall.summary import RecallRun
 from tactile_loc.evaluation.recall.tables import write_recall_tables
 from tactile_loc.evaluation.tables import Run, write_tables
-from tactile_loc.io.streams.records import write_record
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.result_arrays import gather_arrays, write_arrays
-from tactile_loc.locate.result.result_json import make_record
 from tactile_loc.reports import find_source
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.report import make_page
@@ -40,9 +37,7 @@ def write_run(folder: Path, localizer: Localizer, touch_name: str | None = None)
     touch = localizer.simulate(1, seed=0)[0]
     touch = dataclasses.replace(touch, name=touch_name or touch.name)
     localization = localizer.localize(touch)
-    record = make_record(localizer, localization, {"model": 1.5})
-    write_arrays(folder / "result.npz", gather_arrays(localization.make_views(), localization), record)
-    write_record(folder / "result.json", record)
+    dataclasses.replace(localization, seconds={"model": 1.5, **localization.seconds}).save(folder)
     return folder
 
 

@@ -11,7 +11,7 @@ import pytest
 from typer.main import get_command
 
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.result_arrays import MOST_FACES, MOST_POSES, gather_arrays, pack_arrays
+from tactile_loc.locate.result.result_arrays import MOST_FACES, MOST_POSES, pack_arrays
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reports.md").read_text()
@@ -48,7 +48,7 @@ def test_the_table_lists_the_arrays_of_the_file(store):
     written = {
         "schema_version",
         "result_sha256",
-        *pack_arrays(gather_arrays(localization.make_views(), localization)),
+        *pack_arrays(localization.posterior, localization.touches),
     }
     rows = re.findall(r"^\| (`[^|]*) \| ([^|]*) \|", PAGE, re.MULTILINE)
     named = {name: meaning for names, meaning in rows for name in re.findall(r"`(\w+)`", names)}

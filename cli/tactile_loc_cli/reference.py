@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from enum import StrEnum
 from pathlib import Path
-from typing import Any, get_args
-
-from pydantic import BaseModel
 
 WIDTH = "100"
 
@@ -114,44 +110,18 @@ def _show_help(arguments: list[str]) -> str:
 
 
 def _describe_schema() -> Iterator[str]:
-    from tactile_loc.locate.result import result_json as results
+    from tactile_loc.io.json_keys import describe_keys
+    from tactile_loc.locate.result.result_json import PARTS, RESULT
 
     yield (
         "## result.json\n\nThe results and the settings of a run. Lengths are in metres, times in seconds. "
         "Transforms are 4 x 4\nmatrices `T_target_source`, row by row. The answer is "
         "`hypotheses[0].T_sensor_object`.\n"
     )
-    for key, model in (
-        ("", results.ResultRecord), ("object", results.ObjectRecord), ("touch", results.TouchRecord),
-        ("hypotheses[]", results.HypothesisRecord), ("errors", results.ErrorRecord),
-    ):  # fmt: skip
-        if key:
-            yield f"### {key}\n\n{model.__doc__}\n"
-        yield _describe_record(model)
-
-
-def _describe_record(model: type[BaseModel]) -> str:
-    rows = [
-        f"| `{name}` | {_name_type(field.annotation)} | {field.description} |"
-        for name, field in model.model_fields.items()
-    ]
-    return "\n".join(["| key | type | meaning |", "|---|---|---|", *rows, ""])
-
-
-def _name_type(annotation: Any) -> str:
-    """Return the name of a type in the terms of JSON."""
-    arms = get_args(annotation)
-    if type(None) in arms:
-        return f"{_name_type(next(a for a in arms if a is not type(None)))} or null"
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return "object"
-    if isinstance(annotation, type) and issubclass(annotation, StrEnum):
-        return "text"
-    text = str(annotation)
-    if text.count("list[") > 1:
-        return "rows of numbers"
-    names = {int: "integer", float: "number", str: "text", bool: "true or false"}
-    return "list" if text.startswith("list") else "object" if text.startswith("dict") else names[annotation]
+    yield describe_keys(RESULT)
+    for key, (meaning, keys) in PARTS.items():
+        yield f"### {key}\n\n{meaning}\n"
+        yield describe_keys(keys)
 
 
 def main() -> None:

@@ -15,8 +15,8 @@ from tactile_loc_cli.console import format_count, say, say_table, write_flags
 if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
+    from tactile_loc.locate.result.hypothesis import Hypothesis
     from tactile_loc.locate.result.localization import Localization
-    from tactile_loc.locate.result.result_json import HypothesisRecord, ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
     from tactile_loc.planning.next_touch_files import NextTouchRecord, RatedRecord
     from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord
@@ -28,42 +28,44 @@ LEAST_SHOWN = 0.01  # least probability of unlisted poses that is shown
 POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
 
 
-def make_title(record: ResultRecord) -> str:
+def make_title(found: Localization) -> str:
     """Return the picture's title: verdict, object, sensor, stated probability, and error if it is known."""
-    from tactile_loc.locate.result.verdict import name_verdict
+    errors_m = found.measure_errors_m(found.object)
+    error = "" if errors_m is None else f"error {format_millimetres(errors_m[0])}"
+    return ", ".join(
+        filter(None, (f"{found.verdict}: {found.object.name} on {found.sensor_name}", found.describe_within(), error))
+    )
 
-    text = f"{name_verdict(record.verdict)}: {record.object.name} on {record.sensor_name}"
-    error = "" if record.errors is None else f"error {format_millimetres(record.errors.best_m)}"
-    return ", ".join(filter(None, (text, record.says_within, error)))
 
-
-def say_result(record: ResultRecord) -> None:
+def say_result(found: Localization) -> None:
     """Write the verdict, a table of the hypotheses with the object's pose, and a summary.
 
     The poses are in the base frame or, if the sensor's pose is unknown, in the sensor frame.
     """
     from tactile_loc.locate.result.verdict import Verdict, explain_verdict
 
-    header = ["rank", "prob. %", *POSE, IMPRINT, *([] if record.errors is None else ["error mm"])]
-    if record.verdict is not None:
-        within = f" ({record.says_within})" if record.says_within else ""
-        say(f"{record.verdict}: {explain_verdict(record.verdict)}{within}")
-    if record.verdict is Verdict.AMBIGUOUS and str(record.freedom or ""):
-        say(f"open: {record.freedom}")
-    if record.next_step:
-        say(f"next: {record.next_step}")
-    in_base = record.hypotheses[0].T_base_object is not None
-    frame = "base frame" if in_base else f"frame of {record.sensor_name}"
-    say(f"{record.object.name} in the {frame}, {_describe_touches(record)}")
-    say_table([header, *map(_list_cells, record.hypotheses)], left=0, gap=2)
-    for line in _summarise(record):
+    errors_m, next_step = found.measure_errors_m(found.object), found.assessment.next_step
+    header = ["rank", "prob. %", *POSE, IMPRINT, *([] if errors_m is None else ["error mm"])]
+    within = found.describe_within()
+    say(f"{found.verdict}: {explain_verdict(found.verdict)}{within and f' ({within})'}")
+    if found.verdict is Verdict.AMBIGUOUS and str(found.freedom):
+        say(f"open: {found.freedom}")
+    if next_step:
+        say(f"next: {next_step}")
+    frame = f"frame of {found.sensor_name}" if found.best.T_base_object is None else "base frame"
+    say(f"{found.object.name} in the {frame}, {_describe_touches(found)}")
+    rows = [[str(rank), *_list_cells(h)] for rank, h in enumerate(found.hypotheses, 1)]
+    if errors_m is not None:
+        rows = [[*row, format_mm(error_m)] for row, error_m in zip(rows, errors_m, strict=True)]
+    say_table([header, *rows], left=0, gap=2)
+    for line in _summarise(found):
         say(line)
 
 
-def _describe_touches(record: ResultRecord) -> str:
+def _describe_touches(found: Localization) -> str:
     """Return the number of simulated touches, the name of one touch, or the number and the first names of several."""
-    names = [touch.name for touch in (record.touch, *record.other_touches)]
-    if record.touch.path is None:
+    names = [touch.name for touch in found.touches]
+    if found.config is None or found.config.touch.path is None:
         return format_count(len(names), "simulated touch")
     if len(names) == 1:
         return names[0]
@@ -78,65 +80,65 @@ def say_alone(alone: Localization, obj: ObjectModel) -> None:
     say(f"the first touch alone: {alone.verdict}, {alone.count_explanations()}{off}")
 
 
-def _summarise(record: ResultRecord) -> Iterator[str]:
+def _summarise(found: Localization) -> Iterator[str]:
     """Yield the lines below the table."""
-    yield from _describe_std(record.hypotheses[0])
+    yield from _describe_std(found.best)
     yield (
-        f"normalised entropy: {record.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
-        f"{record.searched}"
+        f"normalised entropy: {found.normalised_entropy:.2f} (0: one pose is certain, 1: nothing is known), "
+        f"{found.describe_search()}"
     )
-    if (found := record.pose_set) is not None:
-        yield f"{found.title}: {found.size}. {found.meaning}"
-    unlisted = 1 - record.elsewhere - sum(h.probability for h in record.hypotheses)
-    if unlisted > LEAST_SHOWN and record.pose_set is None:
+    if (listed := found.pose_set) is not None:
+        yield f"{listed.title}: {listed.size}. {listed.meaning}"
+    unlisted = 1 - found.posterior.elsewhere - sum(h.probability for h in found.hypotheses)
+    if unlisted > LEAST_SHOWN and found.pose_set is None:
         yield f"{100 * unlisted:.0f} % of the probability belongs to poses not listed; --top N lists more"
-    grid = record.configuration["grid"]
-    if grid["name"] == "whole" and not record.other_touches:  # several touches rarely touch one face
+    grid = found.made_with.configuration["grid"]
+    if grid["name"] == "whole" and not found.others:  # several touches rarely touch one face
         yield (
             "searched: the whole object. If you know which face touches, search only that face: --grid face "
-            f"-o grid.face={_name_side(record)}"
+            f"-o grid.face={_name_side(found)}"
         )
     if (grid["name"], grid["options"].get("face")) == ("face", "auto"):
         yield (
-            f"searched: {_describe_side(record)}, on which its centroid lies lowest. For another side, add "
+            f"searched: {_describe_side(found)}, on which its centroid lies lowest. For another side, add "
             "-o grid.face=SIDE with +x, -x, +y, -y, +z or -z; for the whole object, add --grid whole"
         )
-    if (errors := record.errors) is not None:
+    if (errors := found.assessment.errors) is not None:
         yield (
             f"pose error: {format_mm(errors.best_m)} mm (best pose), {format_mm(errors.best_listed_m)} mm (nearest "
             f"listed pose), {format_mm(errors.closest_in_grid_m)} mm (nearest grid pose); the RMS surface "
             "distance, with symmetric poses counted as equal"
         )
-    yield "time: " + ", ".join(f"{stage} {format_duration(s)}" for stage, s in record.seconds.items())
+    yield "time: " + ", ".join(f"{stage} {format_duration(s)}" for stage, s in found.seconds.items())
 
 
-def _describe_side(record: ResultRecord) -> str:
+def _describe_side(found: Localization) -> str:
     """Name the searched side by its outward normal in the object's frame. The normal points into the sensor."""
-    x, y, z = -np.array(record.hypotheses[0].T_sensor_object_grid)[2, :3] + 0.0
+    x, y, z = -found.best.T_sensor_object_grid[2, :3] + 0.0
     return f"the object's side ({x:z.2f}, {y:z.2f}, {z:z.2f})"
 
 
-def _name_side(record: ResultRecord) -> str:
+def _name_side(found: Localization) -> str:
     """Name the side that touches in the first pose, such as +z: the object's axis nearest to the contact's normal.
 
     The name is SIDE if the first pose is not certain.
     """
     from tactile_loc.locate.result.verdict import Verdict
 
-    if record.verdict is not Verdict.CERTAIN:
+    if found.verdict is not Verdict.CERTAIN:
         return "SIDE"
-    outwards = -np.array(record.hypotheses[0].T_sensor_object)[2, :3]
+    outwards = -found.best.T_sensor_object[2, :3]
     axis = int(np.argmax(abs(outwards)))
     return f"{'+' if outwards[axis] > 0 else '-'}{'xyz'[axis]}"
 
 
-def _describe_std(best: HypothesisRecord) -> Iterator[str]:
+def _describe_std(best: Hypothesis) -> Iterator[str]:
     """Yield a line with the standard deviations of the best pose in the frame of the table, if they are known."""
     frame, covariance = "sensor", best.covariance
     if best.T_base_object is not None:
         frame, covariance = "base", best.base_covariance
     if covariance is not None:
-        yield f"standard deviations of the best pose: {_format_std(np.array(covariance), frame)}"
+        yield f"standard deviations of the best pose: {_format_std(covariance, frame)}"
 
 
 def _format_std(covariance: NDArray[np.float64], frame: str) -> str:
@@ -145,10 +147,9 @@ def _format_std(covariance: NDArray[np.float64], frame: str) -> str:
     return f"{along} mm along and {about} degrees about the {frame}'s x, y and z axes"
 
 
-def _list_cells(h: HypothesisRecord) -> list[str]:
-    pose = format_pose(np.array(h.T_sensor_object if h.T_base_object is None else h.T_base_object))
-    cells = [str(h.rank), f"{100 * h.probability:.1f}", *pose, f"{100 * h.imprint_iou:.0f}"]
-    return cells if h.error_m is None else [*cells, format_mm(h.error_m)]
+def _list_cells(h: Hypothesis) -> list[str]:
+    pose = format_pose(h.T_sensor_object if h.T_base_object is None else h.T_base_object)
+    return [f"{100 * h.probability:.1f}", *pose, f"{100 * h.imprint_iou:.0f}"]
 
 
 def say_mount(record: HandEyeRecord) -> None:

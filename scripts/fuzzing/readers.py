@@ -27,13 +27,15 @@ from tactile_loc.io.streams.recordings import Message, Recording
 from tactile_loc.io.streams.ros_messages import IMAGE_TYPES, decode_image, read_stamp_ns
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import read_touch
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.planning.next_touch import choose_next_touch
-from tactile_loc.planning.next_touch_files import make_next_touch_record, read_modes
+from tactile_loc.planning.next_touch_files import make_next_touch_record
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.sensors.calibration.frames import read_frames
 from tactile_loc.sensors.calibration.presses import convert, read_presses
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
+from tactile_loc.tracking.pose_modes import PoseModes
 
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
 SETS = {"gs_sdk": "gs_sdk", "taxim": "taxim/pack.npz", "fots": "fots", "circles": "circles"}
@@ -161,8 +163,9 @@ def _reported(folder: Path) -> None:
 
 
 def _next_touch(folder: Path) -> None:
-    modes, T_base_sensor = read_modes(folder / "result.json")
-    make_next_touch_record(choose_next_touch(modes, _approaches(folder, T_base_sensor)[:1]))
+    found = Localization.load(folder)
+    approaches = _approaches(folder, found.touch.T_base_sensor)[:1]
+    make_next_touch_record(choose_next_touch(PoseModes.of(found), approaches))
 
 
 def _compared(folder: Path) -> None:

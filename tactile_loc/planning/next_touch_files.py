@@ -1,20 +1,14 @@
-"""Modes from a result's files, and `next_touch.json`, the rated approaches. SI units."""
+"""The file `next_touch.json`: the rated approaches. SI units."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.io.streams.records import Record
 from tactile_loc.io.toml import Matrix
-from tactile_loc.locate.result.result_json import HypothesisRecord
-from tactile_loc.locate.result.saved import build_object, read_files
 from tactile_loc.planning.next_touch import NextTouch, RatedApproach
-from tactile_loc.tracking.pose_modes import PoseModes, find_distinct_modes
 
 SCHEMA_VERSION = 1
 
@@ -74,29 +68,6 @@ class NextTouchRecord(Record):
         """Return a mode's number, from 1, with the object's name if several objects are possible."""
         several = len({mode.object for mode in self.modes}) > 1
         return f"{number} ({self.modes[number - 1].object})" if several else str(number)
-
-
-def read_modes(path: str | Path) -> tuple[PoseModes, NDArray[np.float64] | None]:
-    """Return the modes of a result.json and the .npz beside it, and the touch's T_base_sensor (4, 4), metres.
-
-    If T_base_sensor is None, the modes are in the touch's sensor frame. Raises ResultError if the files cannot be used.
-    """
-    record, arrays = read_files(Path(path))
-    obj = build_object(record, arrays)
-    T_base_sensor = None if record.touch.T_base_sensor is None else np.array(record.touch.T_base_sensor)
-    poses = np.array([_find_pose(h, T_base_sensor) for h in record.hypotheses])
-    p = np.array([h.probability for h in record.hypotheses])
-    ious = [h.imprint_iou for h in record.hypotheses]
-    geometry = arrays.touches[0].geometry
-    return find_distinct_modes(obj, poses, p, geometry, record.touch.indentation_m, ious), T_base_sensor
-
-
-def _find_pose(h: HypothesisRecord, T_base_sensor: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """Return a hypothesis's pose (4, 4), metres, in the base frame or, if that is unknown, in the sensor frame."""
-    if h.T_base_object is not None:
-        return np.array(h.T_base_object)
-    T = np.array(h.T_sensor_object)
-    return T if T_base_sensor is None else T_base_sensor @ T  # older files lack T_base_object
 
 
 def make_next_touch_record(found: NextTouch) -> NextTouchRecord:

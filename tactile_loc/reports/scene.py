@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.sensing.scene import relate_sensors
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, cut_to_touching
-from tactile_loc.locate.result.result_arrays import ResultArrays, TouchArrays
+from tactile_loc.core.sensing.touch import ContactShape, Touch, cut_to_touching
 from tactile_loc.reports.distribution import SurfaceDistribution, compute_vertex_normals, find_touched_vertices
 from tactile_loc.view.pictures import compute_extent_mm, group_nearby
 from tactile_loc.view.pose_panel import GEL_MM, RIM_MM, build_sensor_mm, choose_view, list_round_values
@@ -37,21 +37,23 @@ LIFT_MM, TOGETHER_MM = 1.5, 4.0  # height of marks above the surface, and distan
 AROUND_MM, AXES_MM = 14.0, 10.0
 
 
-def build_sensor_scene(arrays: ResultArrays, poses: Poses, truth: Array | None) -> dict[str, Any]:
-    """Return the scene of the object on the sensors, for the candidates' poses (K, 4, 4), metres."""
-    pads = [build_pad(touch) for touch in arrays.touches]
-    bounds = compute_bounds_mm(arrays.mesh, [*poses, *([] if truth is None else [truth])], pads)
-    view = choose_view(arrays.mesh, poses[0], ELEVATION_DEG)
-    best_mm = 1e3 * transform_points(poses[0], arrays.mesh.vertices_m)
+def build_sensor_scene(
+    mesh: TriangleMesh, touches: Sequence[Touch], poses: Poses, truth: Array | None
+) -> dict[str, Any]:
+    """Return the scene of an object on the sensors of its touches, for the candidates' poses (K, 4, 4), metres."""
+    pads = [build_pad(touch, relate_sensors(touches[0], touch)) for touch in touches]
+    bounds = compute_bounds_mm(mesh, [*poses, *([] if truth is None else [truth])], pads)
+    view = choose_view(mesh, poses[0], ELEVATION_DEG)
+    best_mm = 1e3 * transform_points(poses[0], mesh.vertices_m)
     seen_mm = np.concatenate([best_mm, *(_stack_points(one["housing"]) for one in pads)])
     return {
-        "mesh": pack_mesh(arrays.mesh),
-        "creases": [] if truth is None else find_creases(arrays.mesh),
+        "mesh": pack_mesh(mesh),
+        "creases": [] if truth is None else find_creases(mesh),
         "truth": None if truth is None else list_rows_mm(truth),
         "pads": pads,
         "bounds": bounds,
         "camera": place_camera(seen_mm, bounds, view),
-        "ticks": list_pad_ticks(arrays.touches[0].geometry, view),
+        "ticks": list_pad_ticks(touches[0].geometry, view),
     }
 
 
@@ -109,10 +111,10 @@ def list_rows_mm(T: Array) -> list[float]:
     return [round(float(v), 7) for v in rows.ravel()]
 
 
-def build_pad(touch: TouchArrays) -> dict[str, Any]:
+def build_pad(touch: Touch, T_sensor_first: Array) -> dict[str, Any]:
     """Return a touch's gel, housing and contact outline, in mm, in the sensor frame of the first touch."""
-    T = invert(touch.T_sensor_first)
-    lines = [transform_points(T, 1e-3 * line) * 1e3 for line in trace_outlines_mm(touch.shape, touch.geometry)]
+    T = invert(T_sensor_first)
+    lines = [transform_points(T, 1e-3 * line) * 1e3 for line in trace_outlines_mm(touch.contact_shape, touch.geometry)]
     return {**build_empty_pad(touch.geometry, T), "contact": join_lines(lines)}
 
 

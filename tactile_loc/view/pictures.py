@@ -38,7 +38,7 @@ LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # keeps the label
 
 
 def draw_result(
-    localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | None = None
+    localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | NDArray[np.float64] | None = None
 ) -> Figure:
     """Draw the touches, the contact shapes of the best hypotheses, and the object on the sensor.
 
@@ -64,7 +64,9 @@ def draw_result(
     return figure
 
 
-def _draw_together(localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | None) -> Figure:
+def _draw_together(
+    localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | NDArray[np.float64] | None
+) -> Figure:
     """Draw the result of several touches: all touches in a grid, then the hypotheses and the object."""
     columns = _count_columns(localization)
     widths = [6.3, 2.5 * columns, 6.3]
@@ -227,7 +229,11 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
 
 
 def _draw_candidates(
-    panel: SubFigure, localization: Localization, scene: Scene, errors_m: Sequence[float] | None, columns: int
+    panel: SubFigure,
+    localization: Localization,
+    scene: Scene,
+    errors_m: Sequence[float] | NDArray[np.float64] | None,
+    columns: int,
 ) -> None:
     touch = localization.touch
     width, top = 0.92 / columns, 0.475 if len(localization.hypotheses) > 1 else 0.28
@@ -250,7 +256,9 @@ def _write_heading(panel: SubFigure, text: str) -> None:
     panel.text(0.5, 0.893, text, size=11, ha="center", va="bottom")
 
 
-def _write_caption(i: int, probability: float, imprint_iou: float, errors_m: Sequence[float] | None) -> str:
+def _write_caption(
+    i: int, probability: float, imprint_iou: float, errors_m: Sequence[float] | NDArray[np.float64] | None
+) -> str:
     text = f"{i + 1}:  {format_percent(probability)},  IoU {100 * imprint_iou:.0f} %"
     return text if errors_m is None else f"{text},  {format_millimetres(errors_m[i])} off"
 

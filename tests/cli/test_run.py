@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import fcntl
 import json
 import os
@@ -21,9 +22,10 @@ from typer.testing import CliRunner
 
 from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.io.config import TouchConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.result import result_arrays
-from tactile_loc.locate.result.result_json import read_record
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict, explain_verdict
 from tactile_loc.plugins.grids.face import find_resting_normal
 
@@ -59,10 +61,11 @@ def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
 
 def test_the_summary_states_the_verdicts_meaning_and_the_unlisted_probability(result, capsys):
     assert result["stdout"].startswith(f"{result['verdict']}: {explain_verdict(Verdict(result['verdict']))}")
-    record = read_record(result["folder"] / "result.json")
+    found = Localization.load(result["folder"])
+    posterior = dataclasses.replace(found.posterior, elsewhere=0.1)
     for listed, shown in ((0.5, True), (0.895, False)):
-        first = record.hypotheses[0].model_copy(update={"probability": listed})
-        say_result(record.model_copy(update={"hypotheses": [first], "elsewhere": 0.1}))
+        first = dataclasses.replace(found.best, probability=listed)
+        say_result(dataclasses.replace(found, hypotheses=(first,), posterior=posterior))
         assert ("40 % of the probability" in capsys.readouterr().out) == shown
 
 
@@ -76,9 +79,10 @@ def test_the_summary_states_the_verdicts_meaning_and_the_unlisted_probability(re
     ],
 )
 def test_the_header_of_the_table_names_the_touches(result, capsys, paths, shown):
-    record = read_record(result["folder"] / "result.json")
-    first, *others = (record.touch.model_copy(update={"path": path, "name": path}) for path in paths)
-    say_result(record.model_copy(update={"touch": first, "other_touches": others}))
+    found = Localization.load(result["folder"])
+    first, *others = (dataclasses.replace(found.touch, name=str(path)) for path in paths)
+    config = found.config.model_copy(update={"touch": TouchConfig(path=paths[0])})
+    say_result(dataclasses.replace(found, touch=first, others=tuple(others), config=config))
     assert f"hook in the base frame, {shown}\n" in capsys.readouterr().out
 
 
@@ -86,11 +90,12 @@ def test_the_header_of_the_table_names_the_touches(result, capsys, paths, shown)
     ("verdict", "stated"), [("certain", True), ("ambiguous", True), ("poor fit", False), ("not found", False)]
 )
 def test_the_headline_and_the_title_state_a_probability_only_beside_a_trusted_verdict(result, capsys, verdict, stated):
-    record = read_record(result["folder"] / "result.json")
-    record = record.model_copy(update={"verdict": Verdict(verdict), "probability_within": 0.5})
-    say_result(record)
+    found = Localization.load(result["folder"])
+    assessed = dataclasses.replace(found.assessment, verdict=Verdict(verdict), probability_within=0.5)
+    found = dataclasses.replace(found, assessed=assessed)
+    say_result(found)
     headline = capsys.readouterr().out.splitlines()[0]
-    title = make_title(record)
+    title = make_title(found)
     assert headline.startswith(f"{verdict}: ")
     assert title.startswith(f"{verdict}: hook on ")
     assert [" probability" in text for text in (headline, title)] == [stated, stated]
@@ -360,9 +365,9 @@ def test_names_that_are_not_unicode_or_not_printable_are_kept_apart_from_their_t
     )
     assert done.exit_code == 0, done.stderr
     assert shown in done.stdout
-    record = read_record(Path(name) / "result.json")
-    assert (record.object.name, record.touch.name) == (shown, f"{shown}.npz")
-    assert (record.object.source, record.touch.path) == (str(mesh), str(touch))
+    found = Localization.load(Path(name))
+    assert (found.object.name, found.touch.name) == (shown, f"{shown}.npz")
+    assert (found.object.source, found.config.touch.path) == (str(mesh), str(touch))
     assert cli("report", f"{Path(name).absolute()}").exit_code == 0
     assert "Geh\\xe4use" in (Path(name) / "report.html").read_text(encoding="utf-8")
     assert cli("run", f"--object={mesh}", "--units", "mm", "--touch", ".", "--out", "all", *TINY, *SURE).exit_code == 0

@@ -13,8 +13,7 @@ from report_helpers import Elements, floats, html_of, numbers_in, page_in
 
 from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.locate.result.result_arrays import read_arrays
-from tactile_loc.locate.result.result_json import read_record
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import MEANINGS
 from tactile_loc.reports.page import render
 from tactile_loc.reports.run import find_surface, make_result_page
@@ -80,8 +79,7 @@ def test_scripts_draw_the_poses_of_the_result(result, data):
 
 
 def test_the_marginals_sum_to_one(run_folder, data):
-    record = read_record(run_folder / "result.json")
-    found = find_surface(record, read_arrays(run_folder / "result.npz", record))
+    found = find_surface(Localization.load(run_folder))
     assert found.mass.sum() == pytest.approx(1.0, abs=1e-9)
     assert (found.density * found.area_m2).sum() == pytest.approx(1.0, abs=1e-9)
     assert sum(data["yaw"]["percent"]) == pytest.approx(100)
@@ -111,32 +109,24 @@ def test_the_bounds_hold_the_object_at_every_candidate(result, data):
             assert points[:, k].max() < high
 
 
-def test_a_result_without_a_true_pose_shows_no_error(run_folder, tmp_path, monkeypatch):
-    folder = shutil.copytree(run_folder, tmp_path / "copy")
-    document = json.loads((folder / "result.json").read_text())
-    document["errors"] = document["touch"]["T_sensor_object"] = None
-    for h in document["hypotheses"]:
-        h["error_m"] = None
-    (folder / "result.json").write_text(json.dumps(document))
-    monkeypatch.setattr("tactile_loc.locate.result.result_arrays.hash_record", lambda record, read=False: "same")
-    with np.load(folder / "result.npz") as file:
-        arrays = {name: file[name] for name in file.files} | {"result_sha256": np.array("same")}
-    np.savez(folder / "result.npz", **arrays)
-    page = page_in(folder)
+def test_a_result_without_a_true_pose_shows_no_error(run_folder):
+    found = Localization.load(run_folder)
+    touch = dataclasses.replace(found.touch, T_sensor_object=None)
+    assessed = dataclasses.replace(found.assessment, errors=None)
+    page = make_result_page(dataclasses.replace(found, touch=touch, assessed=assessed))
     assert page.data["truth"] is None
     assert page.data["creases"] == []
     assert all(candidate["error_mm"] is None for candidate in page.data["candidates"])
-    text = Elements(html_of(folder)).text
+    text = Elements(render(page)).text
     assert "error" not in text.replace("press_error", "")  # an option of the refiner
     assert "true" not in text
 
 
 def test_a_touch_from_an_image_shows_the_image(run_folder):
-    record = read_record(run_folder / "result.json")
-    arrays = read_arrays(run_folder / "result.npz", record)
-    photo = np.full((30, 40, 3), 200, np.uint8)
-    seen = dataclasses.replace(arrays, touches=(dataclasses.replace(arrays.touches[0], image=photo),))
-    plain, found = (Elements(render(make_result_page(record, one))) for one in (arrays, seen))
+    loaded = Localization.load(run_folder)
+    touch = dataclasses.replace(loaded.touch, image=np.full((30, 40, 3), 200, np.uint8))
+    seen = dataclasses.replace(loaded, touch=touch)
+    plain, found = (Elements(render(make_result_page(one))) for one in (loaded, seen))
     assert len(found.named("image")) == len(plain.named("image")) + 1
     assert found.text != plain.text, "the image has no caption"
 

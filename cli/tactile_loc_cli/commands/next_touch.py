@@ -95,13 +95,16 @@ def next_touch(
     """
     from tactile_loc.io.approach_files import write_approaches
     from tactile_loc.io.streams.records import write_record
+    from tactile_loc.locate.result.localization import Localization
     from tactile_loc.planning.next_touch import choose_next_touch as choose
-    from tactile_loc.planning.next_touch_files import make_next_touch_record, read_modes
+    from tactile_loc.planning.next_touch_files import make_next_touch_record
+    from tactile_loc.tracking.pose_modes import PoseModes
     from tactile_loc.view.pictures import save_figure
     from tactile_loc.view.tasks import draw_next_touch
     from tactile_loc_cli.results import say_next_touch
 
-    modes, T_base_sensor = read_modes(_find_result(result))
+    located = Localization.load(_find_result(result))
+    modes, T_base_sensor = PoseModes.of(located), located.touch.T_base_sensor
     in_base = T_base_sensor is not None
     clearance = _find_clearance(finger, fixture, floor, cast("Units", units.value), modes.geometry, in_base)
     body = None if clearance is None else clearance.finger

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ import typer
 
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.runtime.lazy import import_ahead
-from tactile_loc.store.files import lock_folder, require_writable
+from tactile_loc.store.files import lock_folder, require_writable, write_json
 from tactile_loc_cli import options
 from tactile_loc_cli.commands.build import build_model
 from tactile_loc_cli.console import format_count, make_progress, say, say_written
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig
     from tactile_loc.locate.localizer import Localizer, Observation
     from tactile_loc.locate.result.localization import Localization
-    from tactile_loc.locate.result.result_json import ResultRecord
     from tactile_loc.locate.touch_files import LocatedFile
 
 logger = logging.getLogger(__name__)
@@ -172,54 +172,47 @@ def _report(
     close it early.
     """
     from tactile_loc.locate.result.doubts import list_doubts
-    from tactile_loc.locate.result.result_json import make_record
     from tactile_loc.planning.next_step import suggest_next_step
     from tactile_loc_cli.results import say_alone, say_result
 
     localizer = observations[0][0]
-    record = make_record(localizer, localization, seconds)
-    record = record.model_copy(update={"next_step": suggest_next_step(localization)})
-    written = _write_result(record, localization, localizer.scene, out, page, alone)
+    assessed = replace(localization.assessment, next_step=suggest_next_step(localization))
+    localization = replace(localization, assessed=assessed, seconds={**seconds, **localization.seconds})
+    written = _write_result(localization, localizer.scene, out, page, alone)
     if rerun is not None:
         from tactile_loc.view.rerun_log import write_localization
 
         written.append(write_localization(rerun, localization, localizer.scene))
-    say_result(record)
+    say_result(localization)
     if alone is not None:
         say_alone(alone, localizer.object)
-    for sentence in list_doubts(record):
+    for sentence in list_doubts(localization):
         logger.warning("%s", sentence)
     if localization.outliers:
         logger.warning("to leave out the touches that contradict the others, give --drop-outliers")
-    return {**record.model_dump(mode="json"), "written": say_written(written)}
+    return {**localization.to_json(), "written": say_written(written)}
 
 
 def _write_result(
-    record: ResultRecord, localization: Localization, scene: Scene, out: Path, page: bool, alone: Localization | None
+    localization: Localization, scene: Scene, out: Path, page: bool, alone: Localization | None
 ) -> list[Path]:
-    """Write the record, the arrays and the picture of a result and, with `page`, its report. Return their paths."""
-    from tactile_loc.io.streams.records import write_record
-    from tactile_loc.locate.result.result_arrays import NAME, gather_arrays, write_arrays
+    """Write the files and the picture of a result and, with `page`, its report. Return their paths."""
     from tactile_loc.view.one_versus_several import draw_touching_again
     from tactile_loc.view.pictures import draw_result, save_figure
     from tactile_loc_cli.results import make_title
 
     if alone is None:
-        figure = draw_result(localization, scene, make_title(record), record.errors_m)
+        errors_m = localization.measure_errors_m(scene.object)
+        figure = draw_result(localization, scene, make_title(localization), errors_m)
     else:
-        figure = draw_touching_again(alone, localization, scene, make_title(record))
-    arrays = gather_arrays(localization.make_views(), localization)
+        figure = draw_touching_again(alone, localization, scene, make_title(localization))
     with lock_folder(out):
-        written = [
-            write_record(out / "result.json", record),
-            write_arrays(out / NAME, arrays, record),
-            save_figure(out / "result.png", figure),
-        ]
+        written = [*localization.write_files(out), save_figure(out / "result.png", figure)]
         if page:
             from tactile_loc.reports.report import DEFAULT_NAME, write_page
             from tactile_loc.reports.run import make_result_page
 
-            written.append(write_page(make_result_page(record, arrays), out / DEFAULT_NAME))
+            written.append(write_page(make_result_page(localization.reduce()), out / DEFAULT_NAME))
     return written
 
 
@@ -243,8 +236,8 @@ def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, 
     with make_progress().task(f"locating the touches of {folder}", len(files)) as advance:
         for one, localization in localize_files(localizer, files, localizer.config.touch.press_depth_m):
             if localization is not None:
-                record = _write(localizer, localization, folders[one.path], pictures)
-                doubtful += [one.name] if list_doubts(record) else []
+                _write(localizer, localization, folders[one.path], pictures)
+                doubtful += [one.name] if list_doubts(localization) else []
                 shown |= {one.name: localization.touch} if page and len(shown) < MOST_SHOWN else {}
             found.append(one)
             advance(1)
@@ -285,26 +278,22 @@ def _warn_of_doubtful(names: list[str]) -> None:
 
     if names:
         some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
-        logger.warning(
-            "the best pose of %s has an imprint IoU below %.0f %% and is probably wrong: %s",
-            format_count(len(names), "touch"), 100 * LEAST_IOU, some,
-        )  # fmt: skip
+        count = format_count(len(names), "touch")
+        message = "the best pose of %s has an imprint IoU below %.0f %% and is probably wrong: %s"
+        logger.warning(message, count, 100 * LEAST_IOU, some)
 
 
-def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> ResultRecord:
-    """Write one touch's result, and return the result."""
-    from tactile_loc.io.streams.records import write_record
-    from tactile_loc.locate.result.result_json import make_record
+def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> None:
+    """Write one touch's result and, with `picture`, its picture."""
+    from tactile_loc.locate.result.result_json import NAME
     from tactile_loc.view.pictures import draw_result, save_figure
     from tactile_loc_cli.results import make_title
 
-    record = make_record(localizer, localization)
-    write_record(folder / "result.json", record)
+    write_json(folder / NAME, localization.to_json())
     if picture:
-        save_figure(
-            folder / "result.png", draw_result(localization, localizer.scene, make_title(record), record.errors_m)
-        )
-    return record
+        errors_m = localization.measure_errors_m(localizer.object)
+        figure = draw_result(localization, localizer.scene, make_title(localization), errors_m)
+        save_figure(folder / "result.png", figure)
 
 
 def _make_json(located: LocatedFile, folder: Path) -> dict[str, Any]:
@@ -312,8 +301,11 @@ def _make_json(located: LocatedFile, folder: Path) -> dict[str, Any]:
     if (best := located.best) is None:
         return {"touch": located.name, "verdict": located.verdict, "error": located.problem}
     return {
-        "touch": located.name, "result": str(folder / "result.json"),
-        "verdict": located.verdict, "probability": best.probability,
-        "probability_within": located.probability_within, "imprint_iou": best.imprint_iou,
+        "touch": located.name,
+        "result": str(folder / "result.json"),
+        "verdict": located.verdict,
+        "probability": best.probability,
+        "probability_within": located.probability_within,
+        "imprint_iou": best.imprint_iou,
         "T_sensor_object": best.T_sensor_object.tolist(),
-    }  # fmt: skip
+    }

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
-from pydantic_core import PydanticSerializationError
+from pydantic_core import PydanticSerializationError, to_json
 
 from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.store.files import read_json, write_text
@@ -38,6 +40,15 @@ class Record(BaseModel):
 def write_record(path: str | Path, record: Record) -> Path:
     """Write a record as JSON, atomically, and return the path. Raises OutputError if that fails."""
     return write_text(Path(path), format_record(record, indent=1) + "\n")
+
+
+def hash_document(document: Mapping[str, Any]) -> str:
+    """Return the SHA-256 (hex) of a JSON document, which does not depend on spaces and line breaks."""
+    try:
+        text = to_json(document)
+    except PydanticSerializationError:  # which refuses lone surrogates
+        text = json.dumps(document).encode()
+    return hashlib.sha256(text).hexdigest()
 
 
 def format_record(record: Record, indent: int | None = None, exclude_unset: bool = False) -> str:

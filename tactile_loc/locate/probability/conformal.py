@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.runtime.formatting import format_mm
 
 POWER = 0.7  # to which the poses' probabilities are raised, because they rank likely poses too surely
 RARE = 4.0  # at a level of 0.95, "elsewhere" is in the set if its probability is at least 0.05 times this
@@ -101,6 +102,27 @@ class PoseSet:
     elsewhere: bool = False
     promised: bool = True
     reason: str = ""
+
+    @property
+    def title(self) -> str:
+        """The name of the set: 95 % set."""
+        return f"{100 * self.coverage:g} % set"
+
+    @property
+    def size(self) -> str:
+        """The number of poses, and whether the set contains "elsewhere", in words."""
+        poses = "1 pose" if self.poses == 1 else f"{self.poses} poses"
+        return f"{poses} or elsewhere" if self.elsewhere else poses
+
+    @property
+    def meaning(self) -> str:
+        """The probability that the set contains the true pose, or the reason why that is unknown, in words."""
+        if not self.promised:
+            return self.reason
+        return (
+            f"The true pose is within {format_mm(self.radius_m)} mm of one of these poses with this probability, "
+            f"measured on {self.examples} simulated examples."
+        )
 
     @classmethod
     def of(cls, ranking: Ranking, sets: ConformalSets, coverage: float, contradictory: bool = False) -> PoseSet:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,27 +17,26 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.runtime.errors import ResultError, TactileLocError
-from tactile_loc.core.runtime.formatting import format_percent
+from tactile_loc.core.runtime.formatting import format_percent, show_name
 from tactile_loc.core.sensing.scene import Scene, View, view_touch
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
+from tactile_loc.io.json_keys import write_keys
 from tactile_loc.locate.probability.conformal import PoseSet
 from tactile_loc.locate.probability.nearness import NATS_PER_IOU, Nearness, calibrate, compute_share_within, is_limited
+from tactile_loc.locate.probability.probabilities import MOST_ELSEWHERE
+from tactile_loc.locate.result import result_arrays, result_json
+from tactile_loc.locate.result.assessment import Assessment, Origin, SurfaceErrors
 from tactile_loc.locate.result.freedom import Freedom, explain_as_well, find_as_well, find_freedom
 from tactile_loc.locate.result.hypothesis import Agreement as Agreement
 from tactile_loc.locate.result.hypothesis import Hypothesis as Hypothesis
+from tactile_loc.locate.result.result_html import write_html
 from tactile_loc.locate.result.verdict import Verdict, describe_within, explain_verdict, judge, name_next_step
 from tactile_loc.slots.registry import registry
-from tactile_loc.store.files import lock_folder
+from tactile_loc.store.files import lock_folder, write_json
 
 LEAST_AGREEING = 3  # two of three touches may agree by chance, if sensor poses are wrong
 LEAST_OWN = 0.8  # share of the poses drawn from the first pose's covariance that must be within the tolerance
-
-
-@dataclass(frozen=True)
-class _Source:
-    config: RunConfig
-    object: ObjectModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,8 @@ class Localization:
 
     `config` is the configuration of the localizer; None if a localisation was made by hand. `unlisted` are refined
     hypotheses after the listed ones. They count for the verdict, but files do not keep them. `unexpected` states
-    whether the prior makes the first pose very improbable.
+    whether the prior makes the first pose very improbable. `assessed` and `origin` are those of a file; None if they
+    are not known yet.
     """
 
     touch: Touch
@@ -65,22 +66,33 @@ class Localization:
     config: RunConfig | None = None
     unlisted: tuple[Hypothesis, ...] = ()
     unexpected: bool = False
+    assessed: Assessment | None = None
+    origin: Origin | None = None
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write `result.json` and `result.npz`, the files of `tactile-loc run`, and return their paths.
 
         Each file is written atomically. Raises OutputError when writing fails, and ResultError if `config` is unknown.
         """
-        from tactile_loc.io.streams.records import write_record
-        from tactile_loc.locate.result.result_arrays import NAME, gather_arrays, write_arrays
-        from tactile_loc.locate.result.result_json import make_record
-        from tactile_loc.locate.result.saved import JSON_NAME
-
         folder = Path(folder)
-        record = make_record(_Source(self._require_config(), self.object), self)
-        arrays = gather_arrays(self.make_views(), self)
+        document = self.to_json()  # raises before the folder is made
         with lock_folder(folder):
-            return [write_record(folder / JSON_NAME, record), write_arrays(folder / NAME, arrays, record)]
+            return self.write_files(folder, document)
+
+    def write_files(self, folder: Path, document: dict[str, Any] | None = None) -> list[Path]:
+        """Do as `save` in a folder that is locked already; `document` is that of `to_json`, if it exists already."""
+        document = self.to_json() if document is None else document
+        return [
+            write_json(folder / result_json.NAME, document),
+            result_arrays.write_arrays(folder / result_arrays.NAME, self._pack_arrays(), document),
+        ]
+
+    def reduce(self) -> Localization:
+        """Return the result as its files keep it (see `load`). Raises ResultError if `config` is unknown."""
+        return self._of_files(self.to_json(), self._pack_arrays(), self._require_config())
+
+    def _pack_arrays(self) -> result_arrays.Arrays:
+        return result_arrays.pack_arrays(self.posterior, self.touches, self.left_out)
 
     @classmethod
     def load(cls, path: str | Path) -> Localization:
@@ -90,21 +102,96 @@ class Localization:
         probable poses, and a surface of more than 50 000 triangles is decimated. Raises ResultError if the files cannot
         be used, and ConfigError if this version lacks one of the settings.
         """
-        from tactile_loc.locate.result import saved
-
-        record, arrays = saved.read_files(Path(path))
-        config = RunConfig.from_dict(record.configuration, str(path))
+        path = Path(path)
+        path = path / result_json.NAME if path.is_dir() else path
+        document = result_json.read_result(path)
+        arrays = result_arrays.read_arrays(path.with_name(result_arrays.NAME), document)
+        config = RunConfig.from_dict(document["configuration"], str(path))
         try:
-            posterior = saved.build_posterior(record, arrays, saved.build_object(record, arrays))
-            touch, *others = saved.build_touches([record.touch, *record.other_touches], arrays.touches)
-            hypotheses = tuple(saved.build_hypotheses(record, posterior))
-            left_out = saved.build_touches(record.left_out, arrays.left_out) if arrays.left_out else []
-        except (ValueError, TactileLocError) as error:
-            raise ResultError(f"{path} is damaged: {error}; locate the touches again") from error
+            return cls._of_files(document, arrays, config)
+        except (KeyError, TypeError, ValueError, TactileLocError) as error:
+            raise ResultError(f"{path} or the .npz file beside it is damaged: {error}; {result_json.AGAIN}") from error
+
+    @classmethod
+    def _of_files(cls, document: dict[str, Any], arrays: result_arrays.Arrays, config: RunConfig) -> Localization:
+        """Make a localisation of the document and the arrays of its files. Raises ValueError and others for damage."""
+        documents = [document["touch"], *document["other_touches"]]
+        obj = result_json.read_object(document["object"], result_arrays.unpack_mesh(arrays))
+        posterior = result_arrays.unpack_posterior(arrays, obj, document["posterior_touches"], document["elsewhere"])
+        touch, *others = result_arrays.unpack_touches(arrays, "touch", documents)
+        hypotheses = result_json.read_hypotheses(document["hypotheses"], touch.T_base_sensor)
+        nearest = posterior.grid.nearest(np.array([h.T_sensor_object_grid for h in hypotheses]))[1]
         return cls(
-            touch, posterior, hypotheses, dict(record.seconds), tuple(others), saved.build_pose_set(record),
-            saved.build_agreement(record), tuple(left_out), config, unexpected=record.unexpected,
-        )  # fmt: skip
+            touch,
+            posterior,
+            tuple(replace(h, grid_index=int(index)) for h, index in zip(hypotheses, nearest, strict=True)),
+            document["seconds"],
+            tuple(others),
+            result_json.read_pose_set(document["pose_set"]),
+            result_json.read_agreement(documents, document["contradictory"]),
+            result_arrays.unpack_touches(arrays, "left_out", document["left_out"]),
+            config,
+            unexpected=document["unexpected"],
+            assessed=result_json.read_assessment(document, float(np.exp(arrays["log_p"]).sum())),
+            origin=Origin(**{name: document[name] for name in Origin.__dataclass_fields__}),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the document of `result.json`, as JSON values. Raises ResultError if `config` is unknown."""
+        source, agreement, about = self._require_config().touch, self.agreement, self.assessment
+        best_ious = agreement.best_ious or (None,) * len(self.touches)
+        errors_m = (None,) * len(self.hypotheses) if about.errors is None else about.errors.of_hypotheses_m
+        touch, *others = (
+            result_json.write_touch(one, source, best, number in agreement.outliers)
+            for number, (one, best) in enumerate(zip(self.touches, best_ious, strict=True))
+        )
+        pairs = zip(self.hypotheses, errors_m, strict=True)
+        return write_keys(
+            result_json.RESULT,
+            about,
+            schema_version=result_json.SCHEMA_VERSION,
+            **vars(self.made_with),
+            object=result_json.write_object(self.object),
+            touch=touch,
+            other_touches=others,
+            contradictory=agreement.contradictory,
+            left_out=[result_json.write_touch(one, source) for one in self.left_out],
+            tolerance=self.tolerance,
+            unexpected=self.unexpected,
+            freedom=write_keys(result_json.FREEDOM, about.freedom),
+            elsewhere=self.posterior.elsewhere,
+            posterior_touches=self.posterior.touches,
+            hypotheses=[result_json.write_hypothesis(rank, *pair) for rank, pair in enumerate(pairs, 1)],
+            pose_set=None if self.pose_set is None else write_keys(result_json.POSE_SET, self.pose_set),
+            errors=None if about.errors is None else write_keys(result_json.ERRORS, about.errors),
+            seconds=self.seconds,
+        )
+
+    @cached_property
+    def made_with(self) -> Origin:
+        """What the result was made with. Raises ResultError if `config` is unknown."""
+        return self.origin or Origin.of(self._require_config())
+
+    @cached_property
+    def assessment(self) -> Assessment:
+        """What the result says about its first pose, from all scored poses."""
+        if self.assessed is not None:
+            return self.assessed
+        errors_m, errors = self.measure_errors_m(self.object), None
+        if errors_m is not None:
+            closest_m = self.posterior.grid.nearest(np.asarray(self.touch.T_sensor_object)[None])[0][0]
+            errors = SurfaceErrors(tuple(errors_m.tolist()), float(closest_m))
+        kept = result_arrays.find_most_probable(self.posterior)
+        return Assessment(
+            self.verdict,
+            self.state_within(),
+            self.freedom,
+            name_next_step(self.verdict, len(self.touches)),
+            len(self.posterior.grid),
+            self.posterior.entropy,
+            float(np.exp(self.posterior.log_p[kept]).sum()),
+            errors,
+        )
 
     @property
     def object(self) -> ObjectModel:
@@ -156,6 +243,8 @@ class Localization:
         error above the tolerance open, or if a touch has no depths. The verdict is also "poor fit" if touches
         contradict each other, unless at least LEAST_AGREEING of them agree.
         """
+        if self.assessed is not None:
+            return self.assessed.verdict
         if self._is_contradicted:
             return Verdict.POOR_FIT
         iou = self.best.imprint_iou if self.best.is_refined else math.nan
@@ -185,6 +274,8 @@ class Localization:
 
     def state_within(self, tolerance: Tolerance | str | None = None) -> float | None:
         """Return `probability_within`, or None if a limit of the fit decides it, so that it is no probability."""
+        if tolerance is None and self.assessed is not None:
+            return self.assessed.probability_within
         nearness = self._find_nearness(tolerance)
         return None if is_limited(nearness) else calibrate(nearness)
 
@@ -230,6 +321,8 @@ class Localization:
     @cached_property
     def freedom(self) -> Freedom:
         """What the touches leave open about the first pose: other poses, slides and turns."""
+        if self.assessed is not None:
+            return self.assessed.freedom
         T = np.stack([h.T_sensor_object for h in self.hypotheses])
         same = self.tolerance.find_within(self.object, T[0], T)
         return find_freedom(
@@ -262,7 +355,7 @@ class Localization:
             T, frame = best.T_base_object, "base"
         first = describe_first(T, len(self.hypotheses), frame)
         lines = [f"{self.verdict}: {explain_verdict(self.verdict)}", first]
-        within = describe_within(self.verdict, self.state_within(), self.tolerance)
+        within = self.describe_within()
         lines.append(", ".join(filter(None, (within, f"imprint IoU {format_percent(best.imprint_iou)}"))))
         if self.verdict is Verdict.AMBIGUOUS and str(self.freedom):
             lines.append(f"open: {self.freedom}")
@@ -270,14 +363,35 @@ class Localization:
             lines.append(f"next: {step}")
         return "\n".join(lines)
 
+    def describe_within(self) -> str:
+        """State in words how probable it is that the first pose is right; empty if the verdict makes it misleading."""
+        return describe_within(self.verdict, self.state_within(), self.tolerance)
+
+    def describe_search(self) -> str:
+        """State in words the number of scored poses, and the probability that the object is at none of them."""
+        count, elsewhere = self.assessment.grid_poses, self.posterior.elsewhere
+        if not elsewhere:
+            return f"{count} poses searched"
+        if elsewhere >= MOST_ELSEWHERE:
+            return f"{count} poses found, but the true pose is probably elsewhere"
+        return f"{count} likely poses found, {format_percent(elsewhere)} probability that the true pose is elsewhere"
+
+    @property
+    def sensor_name(self) -> str:
+        """The name of the first touch's sensor, or of its file."""
+        if self.config is None:
+            return "a sensor"
+        path = self.config.sensor.options.get("path")
+        return show_name(Path(path).stem) if path else self.config.sensor.name
+
     def __str__(self) -> str:
         return self.summary()
 
     def _repr_html_(self) -> str:
         """Return the result as HTML, which notebooks display: see `result_html.write_html`."""
-        from tactile_loc.locate.result.result_html import write_html
-
-        return write_html(self, [] if self.config is None else self.make_views())
+        return write_html(
+            self.summary(), self.hypotheses, self.touches, [] if self.config is None else self.make_views()
+        )
 
     def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
         """Return each hypothesis's surface distance (K,), metres, to the true pose; None if that pose is unknown."""
@@ -290,5 +404,4 @@ class Localization:
     @cached_property
     def normalised_entropy(self) -> float:
         """Entropy of the posterior over N poses divided by log N: 0 if one pose is certain, 1 if all are equal."""
-        count = len(self.posterior.grid)
-        return float(self.posterior.entropy / np.log(count)) if count > 1 else 0.0
+        return self.assessment.normalised_entropy

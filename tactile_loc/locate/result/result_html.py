@@ -6,7 +6,6 @@ import base64
 import html
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,52 +22,33 @@ from tactile_loc.locate.result.verdict import Verdict
 
 MOST_ROWS, MOST_TOUCHES = 5, 4
 SIDE_PX = 96  # pixels along the long side of a picture
-VERDICT_COLOURS = {Verdict.CERTAIN: "#2b8a3e", Verdict.AMBIGUOUS: "#e67700"}
+VERDICT_COLOURS: dict[str, str] = {Verdict.CERTAIN: "#2b8a3e", Verdict.AMBIGUOUS: "#e67700"}
 OTHER_COLOUR = "#c92a2a"
 CELL = 'style="text-align:left;padding:2px 10px"'
 
 
-class Displayed(Protocol):
-    """The parts of a localisation that its HTML shows."""
-
-    @property
-    def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """The hypotheses, the best first."""
-
-    @property
-    def touches(self) -> tuple[Touch, ...]:
-        """The touches that were localised together."""
-
-    @property
-    def verdict(self) -> Verdict:
-        """The verdict on the first hypothesis."""
-
-    def summary(self) -> str:
-        """Return the result in words, with the verdict first."""
-
-
-def write_html(found: Displayed, views: Sequence[View]) -> str:
+def write_html(summary: str, hypotheses: Sequence[Hypothesis], touches: Sequence[Touch], views: Sequence[View]) -> str:
     """Return a result as HTML: the summary, and the first hypotheses with the contacts that they predict.
 
-    `views` are the touches' views. Without them, there are no pictures.
+    `summary` begins with the verdict. `views` are those of the touches. Without them, there are no pictures.
     """
     views = views[:MOST_TOUCHES]
-    rows = [_write_touches(views)] if views else []
-    rows += [_write_hypothesis(k, h, views) for k, h in enumerate(found.hypotheses[:MOST_ROWS], 1)]
-    table = "".join([_write_heading(found, views), *rows])
-    return f"<div>{_write_summary(found)}<table>{table}</table>{_count_rest(found)}</div>"
+    frame = "sensor" if hypotheses[0].T_base_object is None else "base"
+    rows = [_write_heading(frame, views), *([_write_touches(views)] if views else [])]
+    rows += [_write_hypothesis(k, h, views) for k, h in enumerate(hypotheses[:MOST_ROWS], 1)]
+    hidden = _count_hidden(poses=(len(hypotheses), MOST_ROWS), touches=(len(touches), MOST_TOUCHES))
+    return f"<div>{_write_summary(summary)}<table>{''.join(rows)}</table>{hidden}</div>"
 
 
-def _write_summary(found: Displayed) -> str:
-    first, *lines = found.summary().splitlines()
+def _write_summary(summary: str) -> str:
+    first, *lines = summary.splitlines()
     verdict, _, meaning = first.partition(": ")
-    colour = VERDICT_COLOURS.get(found.verdict, OTHER_COLOUR)
+    colour = VERDICT_COLOURS.get(verdict, OTHER_COLOUR)
     title = f'<strong style="color:{colour};font-size:120%">{html.escape(verdict)}</strong>: {html.escape(meaning)}'
     return "<br>".join([title, *map(html.escape, lines)])
 
 
-def _write_heading(found: Displayed, views: Sequence[View]) -> str:
-    frame = "sensor" if found.hypotheses[0].T_base_object is None else "base"
+def _write_heading(frame: str, views: Sequence[View]) -> str:
     names = [html.escape(view.touch.name) for view in views]
     words = ["", *names, "probability", "imprint IoU", f"x, y, z in the {frame} frame", "rotation about an axis"]
     return f"<tr>{''.join(f'<th {CELL}>{word}</th>' for word in words)}</tr>"
@@ -91,8 +71,8 @@ def _write_row(cells: Sequence[str]) -> str:
     return f"<tr>{''.join(f'<td {CELL}>{cell}</td>' for cell in cells)}</tr>"
 
 
-def _count_rest(found: Displayed) -> str:
-    parts = {"poses": (len(found.hypotheses), MOST_ROWS), "touches": (len(found.touches), MOST_TOUCHES)}
+def _count_hidden(**parts: tuple[int, int]) -> str:
+    """Return in words what is not shown; `parts` are the numbers of things, and of those that are shown."""
     hidden = [f"{total - shown} of {total} {what}" for what, (total, shown) in parts.items() if total > shown]
     return f"not shown: {', '.join(hidden)}" if hidden else ""
 

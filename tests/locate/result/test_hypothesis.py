@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -11,11 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry.rigid import invert, make_transform
 from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.io.streams.records import write_record
 from tactile_loc.io.streams.ros_messages import RosPose
 from tactile_loc.locate.localizer import localize_together
 from tactile_loc.locate.result.hypothesis import Hypothesis
-from tactile_loc.locate.result.result_json import make_record, read_record
 from tactile_loc.tracking.pose_modes import PoseModes
 
 
@@ -154,14 +151,12 @@ def test_several_touches_average_the_errors_of_their_sensors_poses(localizer):
     assert off_m < 4e-4
 
 
-def test_the_record_has_the_poses_and_covariances(localizer, tmp_path):
+def test_the_files_have_the_poses_and_covariances(localizer):
     touch, _ = seen_from_base(localizer, 2)
     found = localizer.localize(touch)
-    path = write_record(tmp_path / "result.json", make_record(localizer, found))
-    written, best = read_record(path).hypotheses[0], found.best
+    document, best = found.to_json()["hypotheses"][0], found.best
     for key in ("T_base_object", "base_quaternion_xyzw", "base_covariance", "quaternion_xyzw", "covariance"):
-        np.testing.assert_array_equal(getattr(written, key), getattr(best, key))
-    document = json.loads(path.read_text())["hypotheses"][0]
+        np.testing.assert_array_equal(document[key], getattr(best, key))
     np.testing.assert_allclose(
         Rotation.from_quat(document["base_quaternion_xyzw"]).as_matrix(), best.T_base_object[:3, :3], atol=1e-9
     )

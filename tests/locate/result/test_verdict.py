@@ -15,7 +15,6 @@ from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.probability.nearness import MOST_UNDETERMINED
 from tactile_loc.locate.probability.probabilities import MOST_ELSEWHERE
 from tactile_loc.locate.result.localization import Agreement
-from tactile_loc.locate.result.result_json import ResultRecord, make_record
 from tactile_loc.locate.result.verdict import (
     CHECK_SENSOR_POSES,
     LEAST_IOU,
@@ -146,53 +145,42 @@ def test_contradicting_touches_give_a_poor_fit_unless_the_outlier_is_known(local
     assert replace(one, others=(one.touch,), left_out=(one.touch,)).verdict is Verdict.POOR_FIT
 
 
-def test_a_poor_fit_of_several_touches_asks_for_the_sensor_poses(localizer, localization):
+def test_a_poor_fit_of_several_touches_asks_for_the_sensor_poses(localization):
     one = changed(localization, probability=0.95, imprint_iou=0.3, refined=moved(localization))
     two = replace(one, others=(one.touch,))
     assert "T_base_sensor" not in one.summary()
     assert f"next: {CHECK_SENSOR_POSES}" in two.summary().splitlines()
-    assert make_record(localizer, two).next_step == suggest_next_step(two) == CHECK_SENSOR_POSES
+    assert two.assessment.next_step == suggest_next_step(two) == CHECK_SENSOR_POSES
     assert name_next_step(Verdict.NOT_FOUND, 2) == NEXT_STEPS[Verdict.NOT_FOUND]
 
 
-@pytest.mark.parametrize("verdict", [None, *Verdict])
-def test_words_state_the_probability_only_beside_a_pose_that_may_be_right(localizer, localization, verdict):
-    stated = verdict in (None, Verdict.CERTAIN, Verdict.AMBIGUOUS)
-    record = make_record(localizer, localization).model_copy(update={"verdict": verdict, "probability_within": 0.61})
-    assert record.says_within == ("within 1 mm with 61 % probability" if stated else "")
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_words_state_the_probability_only_beside_a_pose_that_may_be_right(localization, verdict):
+    stated = verdict in (Verdict.CERTAIN, Verdict.AMBIGUOUS)
+    assessed = replace(localization.assessment, verdict=verdict, probability_within=0.61)
+    words = replace(localization, assessed=assessed).describe_within()
+    assert words == ("within 1 mm with 61 % probability" if stated else "")
 
 
-def test_a_limit_of_the_fit_is_no_probability(localizer, localization):
+def test_a_limit_of_the_fit_is_no_probability(localization):
     """The covariance leaves larger errors open, so the fit is cut at its limit for poses that are left open."""
     loose = replace(moved(localization), covariance=np.diag([3e-3**2, *[1e-10] * 5]))
     left_open = changed(localization, probability=1.0, imprint_iou=0.9, refined=loose)
     assert left_open.verdict is Verdict.AMBIGUOUS
     assert left_open.probability_within() == MOST_UNDETERMINED
     assert left_open.state_within() is None
-    record = make_record(localizer, left_open)
-    assert (record.probability_within, record.says_within) == (None, "")
+    assert (left_open.to_json()["probability_within"], left_open.describe_within()) == (None, "")
     assert "%" not in left_open.summary().splitlines()[2].partition("imprint")[0]
-    sure = record.model_copy(update={"verdict": Verdict.CERTAIN})
-    assert sure.says_within == f"within 1 mm with at least {format_percent(CERTAIN)} probability"
-    assert "%" not in record.model_copy(update={"elsewhere": MOST_ELSEWHERE}).searched
+    sure = replace(left_open, assessed=replace(left_open.assessment, verdict=Verdict.CERTAIN))
+    assert sure.describe_within() == f"within 1 mm with at least {format_percent(CERTAIN)} probability"
+    missed = replace(left_open, posterior=replace(left_open.posterior, elsewhere=MOST_ELSEWHERE))
+    assert "%" not in missed.describe_search()
 
 
 def test_the_summary_of_a_poor_fit_states_no_probability(localization):
     one = changed(localization, probability=0.95, imprint_iou=0.3, refined=moved(localization))
     assert "imprint IoU 30 %" in one.summary().splitlines()
     assert "probability" not in one.summary()
-
-
-def test_the_file_holds_the_verdict_and_older_files_need_none(localizer, localization):
-    record = make_record(localizer, localization)
-    assert record.verdict is localization.verdict
-    assert record.probability_within == localization.state_within()
-    assert str(record.freedom) == str(localization.freedom)
-    assert record.next_step == NEXT_STEPS[localization.verdict]
-    older = record.model_dump(mode="json")
-    for key in ("verdict", "tolerance", "probability_within", "freedom", "next_step"):
-        del older[key]
-    assert ResultRecord.model_validate(older).verdict is None
 
 
 def test_the_probability_within_a_tolerance_takes_a_text_or_a_tolerance(localization):

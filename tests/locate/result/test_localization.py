@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 from pathlib import Path
 
@@ -12,17 +11,14 @@ import pytest
 
 from tactile_loc.core.geometry.rigid import invert, make_translation
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.io.streams.records import write_record
+from tactile_loc.io.streams.records import hash_document
 from tactile_loc.locate.localizer import localize_together
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.result_arrays import read_arrays, write_arrays
-from tactile_loc.locate.result.result_json import make_record, read_record
-from tactile_loc.planning.next_touch_files import read_modes
+from tactile_loc.locate.result.result_arrays import write_arrays
 from tactile_loc.reports import find_source
 from tactile_loc.reports.report import make_page
+from tactile_loc.store.files import write_json
 from tactile_loc.tracking.pose_modes import PoseModes
-
-NEW_KEYS = {"posterior_touches": True, "touch": {"T_base_sensor_std_m", "T_base_sensor_std_rad", "indentation_std_m"}}
 
 
 @pytest.fixture(scope="module")
@@ -95,15 +91,29 @@ def test_the_touches_are_read_back(pair):
         assert (a.T_base_sensor is None) == (b.T_base_sensor is None)
 
 
-def test_a_copy_has_the_same_record_and_is_saved_again(pair, tmp_path):
+def test_a_copy_has_the_same_document_and_is_saved_again(pair, tmp_path):
     found, again = pair
     again.save(tmp_path)
-    twice = Localization.load(tmp_path)
-    records = [make_record(one, one) for one in (again, twice)]
-    rounded = {"__all__": {"T_base_object", "base_quaternion_xyzw", "base_covariance"}}
-    dumps = [one.model_dump(exclude={"created": True, "hypotheses": rounded}) for one in records]
-    assert dumps[0] == dumps[1]
-    assert [h.T_sensor_object for h in records[0].hypotheses] == [h.T_sensor_object.tolist() for h in found.hypotheses]
+    documents = [one.to_json() for one in (again, Localization.load(tmp_path))]
+    for document in documents:
+        for hypothesis in document["hypotheses"]:  # these are rounded, because the file has their sensor's pose, too
+            for name in ("T_base_object", "base_quaternion_xyzw", "base_covariance"):
+                del hypothesis[name]
+    assert documents[0] == documents[1]
+    poses = [h["T_sensor_object"] for h in documents[0]["hypotheses"]]
+    assert poses == [h.T_sensor_object.tolist() for h in found.hypotheses]
+
+
+def test_a_file_states_the_assessment_from_all_poses(localization, tmp_path):
+    """The file keeps fewer poses, and no unlisted hypotheses, but says what the whole result said."""
+    stated = dataclasses.replace(localization.assessment, next_step="touch the head", grid_poses=10**6)
+    dataclasses.replace(localization, assessed=stated).save(tmp_path)
+    again = Localization.load(tmp_path)
+    for name in ("verdict", "probability_within", "next_step", "grid_poses", "entropy_nats", "errors"):
+        assert getattr(again.assessment, name) == getattr(stated, name)
+    assert again.assessment.kept_probability == pytest.approx(stated.kept_probability)
+    assert "1000000 poses searched" in again.describe_search()
+    assert vars(again.made_with) == vars(dataclasses.replace(localization.made_with, created=again.made_with.created))
 
 
 def test_reports_pictures_and_the_next_touch_work_from_the_files(pair, tmp_path):
@@ -112,20 +122,19 @@ def test_reports_pictures_and_the_next_touch_work_from_the_files(pair, tmp_path)
     found, again = pair
     again.save(tmp_path)
     assert make_page(find_source(tmp_path)).title
-    modes, _ = read_modes(tmp_path / "result.json")
-    for other in (PoseModes.of(again), PoseModes.of(found)):
-        np.testing.assert_allclose(modes.T_base_object, other.T_base_object, atol=1e-7)
-        np.testing.assert_allclose(modes.probabilities, other.probabilities)
+    modes, other = PoseModes.of(again), PoseModes.of(found)
+    np.testing.assert_allclose(modes.T_base_object, other.T_base_object, atol=1e-7)
+    np.testing.assert_allclose(modes.probabilities, other.probabilities)
     assert draw_result(again, again.make_views()[0].scene, "again").axes
 
 
 def test_the_files_of_run_are_read(run_folder):
-    record = read_record(run_folder / "result.json")
+    document = json.loads((run_folder / "result.json").read_text())
     for path in (run_folder, run_folder / "result.json"):
         found = Localization.load(path)
-        assert found.best.probability == record.hypotheses[0].probability
+        assert found.best.probability == document["hypotheses"][0]["probability"]
         assert found.config is not None
-        assert found.config.resolve() == record.configuration
+        assert found.config.resolve() == document["configuration"]
 
 
 @pytest.mark.slow
@@ -138,18 +147,16 @@ def test_the_set_of_a_coverage_is_read_back(localizer, tmp_path):
     assert len(again.hypotheses) == again.pose_set.poses
 
 
-def test_files_from_before_these_keys_are_read(run_folder, tmp_path):
-    """The hash of an older file covers only the keys that it has."""
-    record = read_record(run_folder / "result.json")
-    text = record.model_dump_json(exclude=NEW_KEYS)
-    (tmp_path / "result.json").write_text(json.dumps(json.loads(text), indent=1))
+def test_files_of_the_version_before_are_read(run_folder, tmp_path):
+    """They also have the contact shapes of the hypotheses, and do not say whether a touch has depths."""
+    document = json.loads((run_folder / "result.json").read_text()) | {"schema_version": 3}
+    del document["touch"]["depths_known"]
+    (tmp_path / "result.json").write_text(json.dumps(document, indent=1))
     with np.load(run_folder / "result.npz") as file:
         arrays = {name: file[name] for name in file.files}
-    np.savez(tmp_path / "result.npz", **{**arrays, "result_sha256": hashlib.sha256(text.encode()).hexdigest()})
-    older = read_record(tmp_path / "result.json")
-    assert "posterior_touches" not in older.model_fields_set
-    assert len(read_arrays(tmp_path / "result.npz", older).touches) == 1
-    assert Localization.load(tmp_path).touch.T_base_sensor_std_m == 2e-4
+    arrays |= {"schema_version": np.array(1), "touch_0_made_m": np.zeros((3, 8, 8), np.float32)}
+    np.savez(tmp_path / "result.npz", **{**arrays, "result_sha256": hash_document(document)})
+    assert Localization.load(tmp_path).summary() == Localization.load(run_folder).summary()
 
 
 def test_a_localisation_without_a_configuration_is_not_saved(localization, tmp_path):
@@ -166,19 +173,22 @@ def test_a_missing_file_is_named(run_folder: Path, tmp_path: Path, name: str):
         Localization.load(tmp_path)
 
 
-@pytest.mark.parametrize("damage", ["touches", "pose", "grid pose"])
+@pytest.mark.parametrize("damage", ["touches", "pose", "grid pose", "no hypothesis", "verdict"])
 def test_a_damaged_result_gives_an_error(run_folder: Path, tmp_path: Path, damage: str):
     """Both files belong together, but one has another number of touches, or a pose that is no pose."""
-    record = read_record(run_folder / "result.json")
-    arrays = read_arrays(run_folder / "result.npz", record)
+    document = json.loads((run_folder / "result.json").read_text())
+    with np.load(run_folder / "result.npz") as file:
+        arrays = {name: file[name] for name in file.files if name not in ("schema_version", "result_sha256")}
     rows = [[1.0, 0.0], [0.0, 1.0]]
     changed = {
-        "touches": {"other_touches": [record.touch]},
-        "pose": {"touch": record.touch.model_copy(update={"T_sensor_object": rows})},
-        "grid pose": {"hypotheses": [h.model_copy(update={"T_sensor_object_grid": rows}) for h in record.hypotheses]},
+        "touches": {"other_touches": [document["touch"]]},
+        "pose": {"touch": {**document["touch"], "T_sensor_object": rows}},
+        "grid pose": {"hypotheses": [{**h, "T_sensor_object_grid": rows} for h in document["hypotheses"]]},
+        "no hypothesis": {"hypotheses": []},
+        "verdict": {"verdict": "sure"},
     }
-    wrong = record.model_copy(update=changed[damage])
-    write_record(tmp_path / "result.json", wrong)
+    wrong = {**document, **changed[damage]}
+    write_json(tmp_path / "result.json", wrong)
     write_arrays(tmp_path / "result.npz", arrays, wrong)
-    with pytest.raises(ResultError):
+    with pytest.raises(ResultError, match="damaged"):
         Localization.load(tmp_path)
