@@ -1,4 +1,4 @@
-"""What a result says about its first pose, and what it was made with: both are computed once, and kept in its files."""
+"""The assessment of a result's first pose, and a result's origin: both are computed once, and kept in its files."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class SurfaceErrors:
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """What a result says about its first pose, from all poses that were scored. Files keep only some of these poses.
+    """The assessment of a result's first pose, from all poses that were scored. Files keep only some of these poses.
 
     `probability_within`, 0 to 1, is the probability that the first pose is within the tolerance of the true pose; None
-    if a limit of the fit decides it. `freedom` is what the touches leave open. `next_step` says what to do next.
+    if a limit of the fit decides it. `freedom` is what the touches leave open. `next_step` names the next step.
     `grid_poses` is the number of scored poses, and `entropy_nats` the entropy of their posterior. `kept_probability`, 0
     to 1, is the probability of the poses that files keep. `errors` is None if the true pose is unknown.
     """
@@ -62,7 +62,7 @@ class Assessment:
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """What a result was made with: its time (UTC, ISO 8601), versions of libraries, and all settings.
+    """The origin of a result: its time (UTC, ISO 8601), versions of libraries, and all settings.
 
     `distributions` are, for each slot, the installed package of the chosen component.
     """

@@ -169,12 +169,12 @@ class Localization:
 
     @cached_property
     def made_with(self) -> Origin:
-        """What the result was made with. Raises ResultError if `config` is unknown."""
+        """The time, versions and settings of the result. Raises ResultError if `config` is unknown."""
         return self.origin or Origin.of(self._require_config())
 
     @cached_property
     def assessment(self) -> Assessment:
-        """What the result says about its first pose, from all scored poses."""
+        """The assessment of the first pose, from all scored poses."""
         if self.assessed is not None:
             return self.assessed
         errors_m, errors = self.measure_errors_m(self.object), None
