@@ -9,11 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from test_uploads import pack
-
-from tactile_loc.app.export import _copy, _copy_object, _name_copies
-from tactile_loc.app.session import Session, list_poses, place_above
-from tactile_loc.app.shared_localizers import SharedLocalizers
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import (
@@ -30,6 +25,11 @@ from tactile_loc.io.images import encode_png
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.store.store import StageStore
+from test_uploads import pack
+
+from tactile_loc_app.export import _copy, _copy_object, _name_copies
+from tactile_loc_app.session import Session, list_poses, place_above
+from tactile_loc_app.shared_localizers import SharedLocalizers
 
 SENSOR = SlotConfig(name="gelsight-mini")
 DEPTH_M = 8e-4

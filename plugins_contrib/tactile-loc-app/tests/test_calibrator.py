@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from press_sets import BALL_M, MM, TINY, ball_set
-from test_uploads import pack
-
-from tactile_loc.app.calibrator import Calibrator
-from tactile_loc.app.session import Session
-from tactile_loc.app.shared_localizers import SharedLocalizers
-from tactile_loc.app.task_progress import TaskProgress
 from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError, UploadError
 from tactile_loc.io.config import ObjectConfig
 from tactile_loc.io.images import encode_png
 from tactile_loc.sensors.calibration.folder import read_calibration
 from tactile_loc.store.store import StageStore
+from test_uploads import pack
+
+from tactile_loc_app.calibrator import Calibrator
+from tactile_loc_app.session import Session
+from tactile_loc_app.shared_localizers import SharedLocalizers
+from tactile_loc_app.task_progress import TaskProgress
 
 BALLS = ball_set(7, px=80)
 DIAMETER_MM, MM_PER_PX = 2 * BALL_M / MM, 0.2

@@ -8,24 +8,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
-
-from tactile_loc.app.calibration_tab import CalibrationTab
-from tactile_loc.app.calibrator import MadeSensor
-from tactile_loc.app.file_controls import FileControls
-from tactile_loc.app.follower import Follower
-from tactile_loc.app.markdown import Paragraph, list_numbered
-from tactile_loc.app.notices import Notices
-from tactile_loc.app.pictures import EMPTY, paint_beside, paint_wide
-from tactile_loc.app.scene_view import SceneView, choose_magnification, from_view
-from tactile_loc.app.session import Session
-from tactile_loc.app.uploads import limit_uploads, take_upload
-from tactile_loc.app.virtual_finger import Pose
 from tactile_loc.core.runtime.formatting import format_mm, format_percent
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.slots.registry import registry
+
+from tactile_loc_app.calibration_tab import CalibrationTab
+from tactile_loc_app.calibrator import MadeSensor
+from tactile_loc_app.file_controls import FileControls
+from tactile_loc_app.follower import Follower
+from tactile_loc_app.markdown import Paragraph, list_numbered
+from tactile_loc_app.notices import Notices
+from tactile_loc_app.pictures import EMPTY, paint_beside, paint_wide
+from tactile_loc_app.scene_view import SceneView, choose_magnification, from_view
+from tactile_loc_app.session import Session
+from tactile_loc_app.uploads import limit_uploads, take_upload
+from tactile_loc_app.virtual_finger import Pose
 
 if TYPE_CHECKING:
     from viser import ClientHandle

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
-from tactile_loc.app.task_progress import ShowProgress, TaskProgress
-from tactile_loc.app.uploads import read_files, write_upload
 from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError, UploadError
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES
@@ -21,6 +19,9 @@ from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.store.files import list_files
 from tactile_loc.store.store import StageStore
 from tactile_loc.view.calibration import save_held_out, save_labels
+
+from tactile_loc_app.task_progress import ShowProgress, TaskProgress
+from tactile_loc_app.uploads import read_files, write_upload
 
 PHOTOS = "photos"
 SUFFIXES = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, PurePath(TABLE).suffix)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tactile_loc.app import markdown
-from tactile_loc.app.export import _TEMPLATE
-from tactile_loc.app.markdown import Paragraph, escape
+from tactile_loc_app import markdown
+from tactile_loc_app.export import _TEMPLATE
+from tactile_loc_app.markdown import Paragraph, escape
 
 APP = Path(markdown.__file__).parent
 DRAWS_MARKUP = {"add_markdown", "add_html", "add_plotly", "add_uplot", "add_modal"}

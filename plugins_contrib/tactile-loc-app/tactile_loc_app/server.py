@@ -11,18 +11,19 @@ from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from tactile_loc.app.guarded_viser import require_viser, start_viser
-from tactile_loc.app.session import Session
-from tactile_loc.app.shared_localizers import SharedLocalizers
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 from tactile_loc.reports.access import EVERYWHERE, Access
 from tactile_loc.store.store import StageStore
 
+from tactile_loc_app.guarded_viser import require_viser, start_viser
+from tactile_loc_app.session import Session
+from tactile_loc_app.shared_localizers import SharedLocalizers
+
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-    from tactile_loc.app.panels import Page
+    from tactile_loc_app.panels import Page
 
 HOST, PORT = "127.0.0.1", 8080
 
@@ -68,7 +69,7 @@ class AppServer:
         return Session(self.localizers, self.chosen, self.sensor)
 
     def _welcome(self, client: ClientHandle) -> None:
-        from tactile_loc.app.panels import Page
+        from tactile_loc_app.panels import Page
 
         if not self._is_here(client):
             return

@@ -52,7 +52,7 @@ def require_viser() -> ModuleType:
         import viser
     except ImportError as error:
         raise MissingLibraryError(
-            "the interactive page needs viser, which is not installed: pip install 'tactile-loc[app]'"
+            "the interactive page needs viser, which is not installed: pip install 'viser>=1.1,<1.2'"
         ) from error
     return viser
 

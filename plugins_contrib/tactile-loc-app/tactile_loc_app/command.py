@@ -45,8 +45,9 @@ def app(*, given: Given, host: Host = HOST, port: Port = PORT, store: options.St
     The page takes own meshes, sensors and touches. The result can be downloaded with a Python script that computes it
     again. The command ends with Ctrl-C.
     """
-    from tactile_loc.app.server import AppServer
     from tactile_loc.store.store import StageStore
+
+    from tactile_loc_app.server import AppServer
 
     settings = options.make_config(given)
     chosen = settings.object, settings.sensor, host, port, StageStore(store)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from tactile_loc.core.poses.priors import GaussianPrior
 from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.core.sensing.touch import Touch

@@ -6,10 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from tactile_loc.app.pictures import colour_probability
-from tactile_loc.app.session import list_poses
-from tactile_loc.app.virtual_finger import Pose, Press
 from tactile_loc.core.geometry.rigid import (
     invert,
     make_transform,
@@ -25,6 +21,10 @@ from tactile_loc.locate.result.localization import Localization
 from tactile_loc.planning.next_touch import RatedApproach
 from tactile_loc.reports.scene import trace_outlines_mm
 from tactile_loc.view.pose_panel import build_sensor_mm
+
+from tactile_loc_app.pictures import colour_probability
+from tactile_loc_app.session import list_poses
+from tactile_loc_app.virtual_finger import Pose, Press
 
 if TYPE_CHECKING:
     from viser import ClientHandle, TransformControlsHandle

@@ -12,13 +12,6 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-
-from tactile_loc.app.calibrator import Calibrator
-from tactile_loc.app.chosen_camera import ChosenCamera
-from tactile_loc.app.export import write_export
-from tactile_loc.app.shared_localizers import SharedLocalizers
-from tactile_loc.app.uploads import is_archive, unpack_upload, write_upload
-from tactile_loc.app.virtual_finger import Pose, Press, make_touch, press_finger
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior
@@ -36,6 +29,13 @@ from tactile_loc.locate.touch_files import is_list, read_observations
 from tactile_loc.planning.approaches import draw_approaches_to_modes
 from tactile_loc.planning.next_touch import RatedApproach, choose_next_touch
 from tactile_loc.tracking.pose_modes import PoseModes
+
+from tactile_loc_app.calibrator import Calibrator
+from tactile_loc_app.chosen_camera import ChosenCamera
+from tactile_loc_app.export import write_export
+from tactile_loc_app.shared_localizers import SharedLocalizers
+from tactile_loc_app.uploads import is_archive, unpack_upload, write_upload
+from tactile_loc_app.virtual_finger import Pose, Press, make_touch, press_finger
 
 APPROACHES = 60  # approaches from which the next touch is chosen
 LIST = "touches.toml"  # list of touches in an archive

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import NoContactError
 from tactile_loc.core.sensing.noise import make_noise

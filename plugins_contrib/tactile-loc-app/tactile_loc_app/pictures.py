@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.shape_pictures import Picture, paint_shape

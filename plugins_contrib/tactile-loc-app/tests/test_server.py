@@ -15,13 +15,13 @@ import pytest
 
 pytest.importorskip("viser")
 
-from web_visitor import CAMERA, ask, idle_sockets, open_socket, send, visit
-
-from tactile_loc.app.guarded_viser import MOST_CONNECTIONS
-from tactile_loc.app.server import AppServer
-from tactile_loc.app.uploads import LARGEST_MB, MB, MOST_RUNNING
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import ObjectConfig, SlotConfig
+from web_visitor import CAMERA, ask, idle_sockets, open_socket, send, visit
+
+from tactile_loc_app.guarded_viser import MOST_CONNECTIONS
+from tactile_loc_app.server import AppServer
+from tactile_loc_app.uploads import LARGEST_MB, MB, MOST_RUNNING
 
 PIN, MINI = ObjectConfig(path="pin"), SlotConfig(name="gelsight-mini")
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, get_args
 
-from tactile_loc.app.markdown import Paragraph
-from tactile_loc.app.notices import Notices
-from tactile_loc.app.pictures import EMPTY, paint_beside, paint_photo, paint_wide
-from tactile_loc.app.session import Session
-from tactile_loc.app.uploads import LARGEST_MB, take_upload
 from tactile_loc.core.runtime.errors import fold_line
 from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind
 from tactile_loc.core.sensing.touch import Touch
+
+from tactile_loc_app.markdown import Paragraph
+from tactile_loc_app.notices import Notices
+from tactile_loc_app.pictures import EMPTY, paint_beside, paint_photo, paint_wide
+from tactile_loc_app.session import Session
+from tactile_loc_app.uploads import LARGEST_MB, take_upload
 
 if TYPE_CHECKING:
     from viser import ClientHandle

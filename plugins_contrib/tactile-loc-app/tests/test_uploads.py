@@ -7,10 +7,10 @@ import stat
 import zipfile
 
 import pytest
-
-from tactile_loc.app import uploads
-from tactile_loc.app.uploads import read_files, unpack_upload, write_upload
 from tactile_loc.core.runtime.errors import UploadError
+
+from tactile_loc_app import uploads
+from tactile_loc_app.uploads import read_files, unpack_upload, write_upload
 
 
 def pack(files: dict[str, bytes]) -> bytes:

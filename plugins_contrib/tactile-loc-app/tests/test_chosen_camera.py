@@ -7,12 +7,12 @@ import os
 import numpy as np
 import pytest
 from PIL import Image
-
-from tactile_loc.app import chosen_camera
-from tactile_loc.app.chosen_camera import ChosenCamera
 from tactile_loc.core.runtime.errors import SourceError, TactileLocError
 from tactile_loc.io.streams import frame_taker
 from tactile_loc.io.streams.frame_sources import Camera, ImageFolder, Video
+
+from tactile_loc_app import chosen_camera
+from tactile_loc_app.chosen_camera import ChosenCamera
 
 
 @pytest.fixture

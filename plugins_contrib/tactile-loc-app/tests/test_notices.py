@@ -6,9 +6,9 @@ import logging
 import threading
 
 import pytest
-
-from tactile_loc.app.notices import Notices, hide_folder, name_controls
 from tactile_loc.core.runtime.errors import TouchError
+
+from tactile_loc_app.notices import Notices, hide_folder, name_controls
 
 library = logging.getLogger("tactile_loc.some.module")
 
