@@ -155,8 +155,7 @@ def search_whole(obj: ObjectModel, arguments: argparse.Namespace, name: str) -> 
         "grid": {"name": "whole", "directions": arguments.directions}, "temperature": 0.02,  # keeps the order
     }  # fmt: skip
     localizer = Localizer(RunConfig.from_dict(settings), obj, StageStore(arguments.out / "store"))
-    search = localizer.search
-    assert search is not None
+    search = localizer.source.place_search
     start = time.perf_counter()
     _ = localizer.source.trained
     if any(key.stage == "encoder" for key in localizer.store.built):

@@ -57,7 +57,8 @@ def measure_peak_memory_mb() -> float:
 def build(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> dict[str, float]:
     """Build all stages for a touch. Return the number of places, the times, and the peak memory."""
     localizer, start = create(path, arguments, sensor, store), time.perf_counter()
-    searched = len(localizer.search.places) if localizer.search else localizer.model.size
+    counted = localizer.source.count_poses()
+    searched = counted.get("places", counted.get("poses"))
     places_s = time.perf_counter() - start
     _ = localizer.probabilities.temperature_scaling
     return {
@@ -73,7 +74,7 @@ def build_model(
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
         about = process.submit(build, path, arguments, sensor, store).result()
     localizer, start = create(path, arguments, sensor, store), time.perf_counter()
-    _ = localizer.search or localizer.model
+    _ = localizer.source.count_poses()
     opened_s = time.perf_counter() - start
     megabytes = sum(file.stat().st_size for file in store.rglob("*") if file.is_file()) / 1e6
     return localizer, {**about, "megabytes": megabytes, "open_s": opened_s}

@@ -48,7 +48,6 @@ def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) ->
     )
     with tempfile.TemporaryDirectory() as store:
         localizer, start = Localizer(config, obj, StageStore(Path(store))), time.perf_counter()
-        assert localizer.search is not None
         places_s = time.perf_counter() - start
         source = RobotTouches(obj, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
         seconds = []
@@ -59,7 +58,7 @@ def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) ->
             seconds.append(time.perf_counter() - start)
         return {
             "size_mm": 1e3 * float(np.linalg.norm(obj.mesh.extents_m)), "directions": directions,
-            "poses": len(localizer.search.places) * len(localizer.search.yaws_rad), "places_s": places_s,
+            "poses": len(localizer.source.places) * localizer.source.count_poses()["turns"], "places_s": places_s,
             "touch_s": float(np.median(seconds[1:])),
         }  # fmt: skip
 

@@ -47,7 +47,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches
 from tactile_loc.locate.hypotheses import compare_refined
-from tactile_loc.locate.localizer import Localizer, localize_together, make_view
+from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.slots.registry import registry
@@ -150,7 +150,7 @@ def explain_by_truth(localizer: Localizer, touches: Sequence[Touch], outliers: S
 
     Touches whose numbers are in `outliers` do not count.
     """
-    views = [make_view(touches[0], localizer, touch) for touch in touches]
+    views = localizer.make_views(touches)
     trusted = [number for number in range(len(touches)) if number not in outliers]
     true = Candidate(np.asarray(touches[0].T_sensor_object), -1, 0.0)
     registered = localizer.refinement.refine([views[number] for number in trusted], [true])

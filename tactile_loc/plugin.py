@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel as ObjectModel, TriangleMesh as TriangleMesh
     from tactile_loc.core.poses.metric import PoseGrid as PoseGrid, PoseMetric as PoseMetric
     from tactile_loc.core.geometry.rigid import Poses as Poses
-    from tactile_loc.core.poses.posterior import PosePosterior as PosePosterior
+    from tactile_loc.core.poses.posterior import NoPoseLeft as NoPoseLeft, PosePosterior as PosePosterior
     from tactile_loc.core.runtime.progress import Progress as Progress, rank as rank
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape, Touch as Touch
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry, Drawing as Drawing

@@ -13,9 +13,9 @@ from pydantic import Field
 
 from tactile_loc.core.geometry.rigid import Poses, invert, require_rigid
 from tactile_loc.core.poses.metric import PoseGrid
-from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.runtime.errors import ConfigError, GridError, quote
+from tactile_loc.core.runtime.errors import ConfigError, quote
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.slots.fuser import Fuser
@@ -24,17 +24,6 @@ Indices = NDArray[np.int64]
 
 SAMPLE = 200  # least number of poses by which sensors are ordered
 A_TURN = 10_000  # poses that a prior weighs in one turn
-
-
-class NoCommonPoseError(GridError):
-    """No pose touches all sensors. `touch` is the number, from 0, of the touch that excludes the last poses."""
-
-    touch: int = 0
-
-    def name_touch(self, names: Sequence[str]) -> GridError:
-        """Return the same error with the touch's name in its message. `names` are those of all touches."""
-        number = f"touch {self.touch + 1}"
-        return GridError(str(self).replace(number, f"{number} ({names[self.touch]})", 1))
 
 
 class CommonPosesFuser(Fuser):
@@ -61,29 +50,31 @@ class CommonPosesFuser(Fuser):
 
     def fuse(
         self, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None], prior: Prior | None = None
-    ) -> PosePosterior:
-        """Return the posterior over the poses of the first touch's grid.
+    ) -> PosePosterior | NoPoseLeft:
+        """Return the posterior over the poses of the first touch's grid, or `NoPoseLeft` if all poses are excluded.
 
         `T_base_sensor` are sensor poses (4, 4), metres. Only a single touch may have None. Raises ConfigError if one of
         several touches has no sensor pose, or if the touches are of different objects. Raises ConfigError, too, if the
-        prior does not return one log-weight per pose, each finite or -inf. Raises GridError if no pose is left.
+        prior does not return one log-weight per pose, each finite or -inf.
         """
         require_fusable(posteriors, T_base_sensor)
         first = posteriors[0].grid
         known_before = compute_prior_weights(prior, first)
         if len(first) and np.isneginf(known_before).all():
-            raise GridError(
+            return NoPoseLeft(
                 f"the prior excludes all {len(first):,} poses that the touch may be of; check its unit and its frame, "
                 "or widen it"
             )
         weights = known_before + self.evidence(posteriors[0], slice(None))
         known = [np.asarray(T, float) for T in T_base_sensor if T is not None]  # a single touch may have None
         common = find_common_poses([p.grid for p in posteriors], known, self.options.reach, np.isfinite(weights))
+        if isinstance(common, NoPoseLeft):
+            return common
         total = weights[common.first]
         for posterior, index in zip(posteriors[1:], common.found[1:], strict=True):
             total = total + self.evidence(posterior, index)
         if len(total) and not np.isfinite(total).any():
-            raise GridError(
+            return NoPoseLeft(
                 f"the {len(posteriors)} touches contradict each other: each of the {len(total):,} poses that touch all "
                 f"sensors has probability 0 for one of them; {self.if_contradictory}"
             )
@@ -170,13 +161,12 @@ def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.flo
 
 def find_common_poses(
     grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float, possible: NDArray[np.bool_]
-) -> CommonPoses:
+) -> CommonPoses | NoPoseLeft:
     """Find which of the first grid's `possible` (N,) poses touch all sensors, in the grid's order.
 
     In the frame of sensor i, a pose x of the first grid is inv(T_base_sensor_i) @ T_base_sensor_1 @ x. The pose touches
     sensor i if this sensor's grid has a pose within `reach` mean spacings, up to symmetry. Sensors that exclude many
-    poses are searched first. Raises GridError if no pose is left; the message names the touch that excludes the last
-    poses.
+    poses are searched first. Returns `NoPoseLeft` if no pose touches all sensors.
     """
     others = _list_others(grids, T_base_sensor, reach)
     poses, first = grids[0].T_sensor_object, np.flatnonzero(possible)
@@ -185,13 +175,12 @@ def find_common_poses(
         found[number] = others[number].look_up(poses[first])
         touching = found[number] >= 0
         if len(first) and not touching.any():
-            error = NoCommonPoseError(
+            return NoPoseLeft(
                 f"no pose touches all {len(grids)} sensors: {len(first):,} of {len(poses):,} poses are left before "
                 f"touch {number + 1}, and none after it. Check each T_base_sensor (metres, from sensor to base), or "
-                "search all faces with the grid whole or hopf"
+                "search all faces with the grid whole or hopf",
+                number,
             )
-            error.touch = number
-            raise error
         first, found = first[touching], found[:, touching]
     return CommonPoses(first, found)
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.runtime.errors import ConfigError, GridError
+from tactile_loc.core.poses.posterior import PosePosterior, require_posterior
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.evaluation.metrics import compute_adds
 from tactile_loc.evaluation.protocol import describe_located, sample_surface, save_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
@@ -160,10 +160,10 @@ def _fuse(fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Pose
 
     If no pose is common to all touches, return the posterior of the first touch and True.
     """
-    try:
-        return fuser.fuse(posteriors, list(T_base_sensor)), False
-    except GridError:
-        return fuser.fuse(posteriors[:1], [T_base_sensor[0]]), True
+    fused = fuser.fuse(posteriors, list(T_base_sensor))
+    if isinstance(fused, PosePosterior):
+        return fused, False
+    return require_posterior(fuser.fuse(posteriors[:1], [T_base_sensor[0]])), True
 
 
 def _draw(posterior: PosePosterior, lot: float) -> int:

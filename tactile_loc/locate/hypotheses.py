@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
-from tactile_loc.core.poses.candidate import Candidate, RefinedPose
+from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.poses.ranking import TIE_NATS, group_ties, rank_poses
-from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.runtime.turns import pause_before
 from tactile_loc.core.sensing.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
@@ -33,50 +31,26 @@ EXCLUDED = -1e6  # nats: log-weight of a pose that the prior excludes
 A_TURN = 15_000  # poses from which those far apart are chosen in one turn
 DOUBT = 8.0  # nats: in one touch's grid, no pose counts as less probable than the best pose by more than this
 
-PULLED = 12  # of the likeliest modes are also refined with the prior
+
+RefinedMode = tuple[Mode, RefinedPose]
 
 
-class Refine(Protocol):
-    """Refines candidates, in the first touch's frame, against touches: see `Refinement.refine`."""
+def compare(
+    views: Sequence[View], refined: Sequence[RefinedMode], outliers: Collection[int] = ()
+) -> tuple[Hypothesis, ...]:
+    """Return refined modes as hypotheses with the imprint IoUs of the touches, not weighed yet.
 
-    def __call__(
-        self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior | None = None
-    ) -> list[RefinedPose]:
-        """Return the refined candidates, in their order."""
-
-
-def find_hypotheses(
-    views: Sequence[View], modes: Sequence[Mode], refine: Refine, metric: PoseMetric, radius_m: float,
-    prior: Prior | None, times: StageTimes, outliers: Collection[int] = (),
-) -> tuple[Hypothesis, ...]:  # fmt: skip
-    """Refine modes in the first touch's sensor frame, weigh them, and merge those within `radius_m` metres.
-
-    `weigh` computes the probabilities of the refined poses from their imprint IoUs (`compute_nats`). Views whose
-    numbers are in `outliers` affect neither the refinement nor the probabilities. Their imprint IoUs are NaN:
-    `compare_outliers` computes them. With a `prior`, the first modes are refined twice: by the touches alone, and with
-    the prior, which decides what the touches leave open.
+    The imprint IoUs of views whose numbers are in `outliers` are NaN: `compare_outliers` computes them.
     """
     trusted = [number for number in range(len(views)) if number not in outliers]
-    with times.stage("refine"):
-        candidates = [Candidate(m.T_sensor_object, m.index, float(np.log(max(m.probability, 1e-300)))) for m in modes]
-        seen = [views[number] for number in trusted]
-        refined = refine(seen, candidates)
-        if prior is not None:
-            refined = [*refined, *refine(seen, candidates[:PULLED], prior)]
-            modes = [*modes, *(dataclasses.replace(mode, probability=0.0) for mode in modes[:PULLED])]
-    with times.stage("choose"):
-        ious = compare_refined(views, refined, trusted)
-        hypotheses = [
-            Hypothesis(
-                mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members),
-                float(each[trusted].mean()), tuple(map(float, each)),
-            )
-            for mode, pose, each in zip(modes, refined, ious, strict=True)
-        ]  # fmt: skip
-        log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
-        counts = sum(1.0 if views[number].touch.has_depths else MASK_SHARE for number in trusted)
-        nats = compute_nats(np.array([h.imprint_iou for h in hypotheses]), counts)
-        return merge_hypotheses(weigh(hypotheses, nats, metric, log_prior), metric, radius_m)
+    ious = compare_refined(views, [pose for _, pose in refined], trusted)
+    return tuple(
+        Hypothesis(
+            mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members), float(each[trusted].mean()),
+            tuple(map(float, each)),
+        )
+        for (mode, pose), each in zip(refined, ious, strict=True)
+    )  # fmt: skip
 
 
 def compare_refined(
@@ -91,26 +65,6 @@ def compare_refined(
     ious = np.full((len(T), len(views)), np.nan)
     ious[:, trusted] = compare_where_seen(some, T, seen, views[0])[0]
     return ious
-
-
-def compare_outliers(
-    views: Sequence[View], hypotheses: Sequence[Hypothesis], refine: Refine, outliers: Sequence[int]
-) -> tuple[Hypothesis, ...]:
-    """Return hypotheses with their imprint IoUs with outliers, given by the numbers of their views.
-
-    An outlier's sensor pose may have an error, so each pose is also refined against the outlier alone.
-    """
-    T = np.stack([h.T_sensor_object for h in hypotheses])
-    ious = np.array([h.imprint_ious for h in hypotheses])
-    for number in outliers:
-        view = views[number]
-        here = [Candidate(pose, -1, 0.0) for pose in view.T_sensor_first @ T]
-        fitted = refine([View(view.touch, view.scene)], here)
-        seen = np.stack([pose.T_sensor_object for pose in fitted])[:, None]
-        ious[:, number] = compare_where_seen([view], T, seen, views[0])[0][:, 0]
-    return tuple(
-        dataclasses.replace(h, imprint_ious=tuple(each.tolist())) for h, each in zip(hypotheses, ious, strict=True)
-    )
 
 
 def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
@@ -130,10 +84,14 @@ def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radiu
     return tuple(dataclasses.replace(h, probability=min(1.0, share * h.probability)) for h in merged)
 
 
+def count_touches_with_depths(views: Sequence[View]) -> float:
+    """Return the number of touches; each touch without depths counts as MASK_SHARE of a touch."""
+    return sum(1.0 if view.touch.has_depths else MASK_SHARE for view in views)
+
+
 def compute_nats(imprint_ious: NDArray[np.float64], touches: float) -> NDArray[np.float64]:
     """Return the log-weights (K,), nats, of poses with mean imprint IoUs (K,), 0 to 1, with this number of touches.
 
-    A touch without depths counts as MASK_SHARE of a touch.
     A pose that explains the touches better never has a smaller weight. The smaller the share of the imprints that
     remains unexplained, the more a difference of it counts. So clean touches distinguish poses that noisy touches do
     not.
@@ -143,9 +101,23 @@ def compute_nats(imprint_ious: NDArray[np.float64], touches: float) -> NDArray[n
 
 
 def weigh(
-    hypotheses: Sequence[Hypothesis], nats: NDArray[np.float64], metric: PoseMetric,
+    hypotheses: Sequence[Hypothesis], touches: float, metric: PoseMetric, prior: Prior | None = None
+) -> tuple[Hypothesis, ...]:
+    """Return hypotheses with probabilities from the imprint IoUs of their refined poses, the most probable first.
+
+    `touches` is the number of touches: see `count_touches_with_depths`. A `prior` is over the refined poses.
+    """
+    nats = compute_nats(np.array([h.imprint_iou for h in hypotheses]), touches)
+    log_prior = None if prior is None else prior(np.stack([h.T_sensor_object for h in hypotheses]))
+    return assign_probabilities(hypotheses, nats, metric, log_prior)
+
+
+def assign_probabilities(
+    hypotheses: Sequence[Hypothesis],
+    nats: NDArray[np.float64],
+    metric: PoseMetric,
     log_prior: NDArray[np.float64] | None = None,
-) -> tuple[Hypothesis, ...]:  # fmt: skip
+) -> tuple[Hypothesis, ...]:
     """Return hypotheses with probabilities from the log-weights of their refined poses, the most probable first.
 
     Refined poses distinguish explanations better than the grid, whose poses are all slightly wrong and whose shapes are

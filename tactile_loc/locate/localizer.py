@@ -1,27 +1,25 @@
-"""The localisation method: score poses for each touch, fuse the scores, propose modes, then refine and weigh them."""
+"""The localizer: the components that locate one object with one sensor, and the calls that use them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.bases.common_poses import NoCommonPoseError, require_sensor_poses
-from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.bases.common_poses import require_sensor_poses
+from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.places.places import Places
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import Mode, PosePosterior
-from tactile_loc.core.poses.priors import Prior, SeenFrom, count_touches, temper
+from tactile_loc.core.poses.posterior import PosePosterior, require_posterior
+from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.runtime.blas import use_one_blas_thread
-from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError, quote
+from tactile_loc.core.runtime.errors import ConfigError, TouchError, quote
 from tactile_loc.core.runtime.progress import Progress, StageTimes
 from tactile_loc.core.sensing.noise import TouchNoise, make_noise
 from tactile_loc.core.sensing.scene import Scene, View, view_touch
@@ -29,22 +27,19 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.touches import read_touch
-from tactile_loc.locate.expected_poses import add_expected_modes, is_unexpected
-from tactile_loc.locate.outliers import PoseTrials, find_agreement, require_within_reach
-from tactile_loc.locate.probability.conformal import ConformalSets, PoseSet
-from tactile_loc.locate.probability.conformal_fit import LISTED, RIGHT_M, ConformalFit, rank
+from tactile_loc.locate.method import Coverage, LocatingMethod, Query, Refinement
+from tactile_loc.locate.outliers import localize_all, require_within_reach
+from tactile_loc.locate.probability.conformal import ConformalSets
+from tactile_loc.locate.probability.conformal_fit import LISTED, RIGHT_M, ConformalFit
 from tactile_loc.locate.probability.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.probability.probabilities import Scalings, TemperatureScaling
-from tactile_loc.locate.refinement import Refinement
-from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis, JudgedHypothesis
+from tactile_loc.locate.result.hypothesis import Hypothesis, JudgedHypothesis
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import judge
-from tactile_loc.locate.sources.listed_model import STAGE_VERSIONS, ObjectPoseModel
-from tactile_loc.locate.sources.place_banks import PlaceBanks
+from tactile_loc.locate.sources.listed_grid import STAGE_VERSIONS, ListedSource, ObjectPoseModel
 from tactile_loc.locate.sources.scoring import NewMatcher
-from tactile_loc.locate.sources.source import GridSource, PlaceSource, PoseSource
-from tactile_loc.locate.sources.stored_places import build_places, make_places_key
-from tactile_loc.locate.sources.whole_object import Matched, PlaceSearch, search_together
+from tactile_loc.locate.sources.source import FindPlaces, PoseSource, Scored, SourceSetup
+from tactile_loc.locate.sources.whole_object import WholeObjectSource
 from tactile_loc.locate.stored_object import load_stored_object
 from tactile_loc.simulate.resting_touches import draw_resting_touches
 from tactile_loc.simulate.touch_simulation import simulate_touches
@@ -63,22 +58,29 @@ class Localizer:
     """
 
     def __init__(
-        self, config: RunConfig, obj: ObjectModel, store: StageStore | None = None, progress: Progress | None = None,
-        find_places: Callable[[], Places] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        config: RunConfig,
+        obj: ObjectModel,
+        store: StageStore | None = None,
+        progress: Progress | None = None,
+        find_places: FindPlaces | None = None,
+    ) -> None:
         self.config, self.object, self._find_places = config, obj, find_places
         self.store, self.progress = store or StageStore(), progress or Progress()
         self.sensor = self._create("sensor")
         self.sampler = self._create("grid")
         self.encoder = self._create("encoder")
         self.fuser = self._create("fuser")
-        self.refinement = Refinement(self._create("refiner"), JointRegistration(), config.together)
+        self.registration = JointRegistration()
+        self.refinement = Refinement(self._create("refiner"), self.registration, config.together)
         renderer = self._create("renderer")
         self._require_compatible(renderer)
         self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
-        coarse = self.sensor.geometry.resize_long_side(config.shape_px)
-        coarse = coarse.press(coarse.max_depth_m)  # the grid's shapes are at full press
-        self.coarse_scene = replace(self.scene, geometry=coarse)
+
+    @cached_property
+    def _setup(self) -> SourceSetup:
+        store, progress = self.store, self.progress
+        return SourceSetup(self.config, self.scene, self.sampler, self.encoder, store, progress, self._find_places)
 
     @classmethod
     def create(
@@ -168,29 +170,14 @@ class Localizer:
         return self._make_source(lambda: self._create("matcher"))
 
     def _make_source(self, new_matcher: NewMatcher) -> PoseSource:
-        config = self.config
-        if not self.sampler.capabilities.places:
-            return GridSource(
-                self.sampler, self.coarse_scene, self.encoder, new_matcher, self.store, self.progress,
-                config.hypotheses, self.mode_radius_m,
-            )  # fmt: skip
-        if self._find_places is None:
-            places, key = build_places(self.sampler, self.scene, self.store, self.progress)
-        else:
-            places, key = self._find_places(), make_places_key(self.sampler, self.scene)
-        banks = PlaceBanks(places, key, self.scene, self.sampler, self.encoder, self.store, self.progress)
-        search = PlaceSearch(
-            places, key, self.scene, self.encoder, new_matcher, self.sampler.options, config.search, banks.bank,
-            banks.mask_bank,
-        )  # fmt: skip
-        return PlaceSource(search, banks, config.hypotheses, self.mode_radius_m)
+        kind = WholeObjectSource if self.sampler.capabilities.places else ListedSource
+        return kind(self._setup, new_matcher)
 
     @property
     def loaded_bytes(self) -> int:
         """The memory, bytes, of the places and banks of a search of the whole object, which `release` frees."""
         kept = [self.__dict__.get("source"), getattr(self.__dict__.get("probabilities"), "source", None)]
-        searches = {id(one): one.search for one in kept if isinstance(one, PlaceSource)}
-        return sum(search.nbytes for search in searches.values())
+        return sum({id(source): source.nbytes for source in kept if source is not None}.values())
 
     def release(self) -> None:
         """Free the places, listed poses and banks. They are read from the store, or made, when they are next used."""
@@ -198,55 +185,56 @@ class Localizer:
             self.__dict__.pop(part, None)
 
     @property
-    def search(self) -> PlaceSearch | None:
-        """The search of the whole object; None if the grid lists poses."""
-        return self.source.search if isinstance(self.source, PlaceSource) else None
+    def listed(self) -> ListedSource:
+        """The listed grid. Raises ConfigError if the grid lists places, not poses."""
+        return cast(ListedSource, self.source.listed)
 
     @property
-    def listed(self) -> GridSource:
-        """The listed grid. Raises ConfigError if the grid lists places, not poses."""
-        if isinstance(self.source, GridSource):
-            return self.source
-        raise ConfigError(
-            f"the grid {self.config.grid.name!r} does not list its poses, which this command or encoder needs; "
-            "choose `grid` face or `grid` hopf"
-        )
+    def places(self) -> Places:
+        """The places of the object that are searched. Raises ConfigError if the grid lists poses."""
+        return self.source.places
 
     @property
     def model(self) -> ObjectPoseModel:
         """The object's listed grid and contact shapes, stored or built now. Raises ConfigError as `listed` does."""
         return self.listed.model
 
+    @property
+    def coarse_scene(self) -> Scene:
+        """The scene with the few pixels of a listed grid's contact shapes, at full press."""
+        return self._setup.coarse_scene
+
     @cached_property
     def probabilities(self) -> FittedProbabilities:
         """The fitted probabilities: temperatures, each fitted at first use and stored."""
         exact = self._create("matcher").capabilities.top_k_only
         source = self._make_source(ExactMatcher) if exact else self.source
-        return FittedProbabilities(
-            source, self.scene, self.fuser, self._simulate_to_fit, self.describe_scores,
-            {"sampler": self.sampler.describe()}, self.config.temperature, self.store, self.progress,
-        )  # fmt: skip
+        return FittedProbabilities(source, self.fuser, self._simulate_to_fit, self.describe_scores)
 
     @cached_property
     def conformal_sets(self) -> ConformalSets:
         """The conformal sets for a coverage, fitted at first use and stored: see `PoseSet`."""
-        config = self.config
+        refiner, config = self.refinement.refiner, self.config
         temperature = self.probabilities.temperature_scaling  # fitted first, with its own progress
         described = {
-            **self.describe_scores(), "temperature": asdict(temperature), "sampler": self.sampler.describe(),
-            "fuser": self.fuser.describe(), "refiner": self.refinement.refiner.describe(), "together": config.together,
-            "hypotheses": config.hypotheses.model_dump(mode="json"), "listed": LISTED,
-        }  # fmt: skip
-        radius_m = RIGHT_M if self.refinement.refiner.capabilities.refines else self.mode_radius_m
-        return ConformalFit(
-            self._simulate_to_fit, self._locate_example, PoseMetric(self.object), radius_m, described, self.store,
-            self.progress,
-        ).load()  # fmt: skip
+            **self.describe_scores(),
+            "temperature": asdict(temperature),
+            "sampler": self.sampler.describe(),
+            "fuser": self.fuser.describe(),
+            "refiner": refiner.describe(),
+            "together": config.together,
+            "hypotheses": config.hypotheses.model_dump(mode="json"),
+            "listed": LISTED,
+        }
+        radius_m = RIGHT_M if refiner.capabilities.refines else self.mode_radius_m
+        fit = ConformalFit(self._simulate_to_fit, self._locate_example, self._setup, radius_m, described)
+        return fit.load()
 
     def _locate_example(self, touches: Sequence[Touch]) -> Localization:
-        query = _Query.of([(self, touch) for touch in touches], None, LISTED, None, StageTimes())
-        query = replace(query, coverage=None)
-        return query.answer(query.score_each())
+        """Locate simulated touches to fit conformal sets."""
+        method = make_method([(self, touch) for touch in touches])
+        config = self.config.model_copy(update={"drop_outliers": False})
+        return localize_all(Query(self.make_views(touches), top=LISTED), replace(method, config=config))
 
     def _simulate_to_fit(self, count: int, seed: int, noise: TouchNoise) -> list[Touch]:
         return simulate_touches(self.sampler, self.scene, count, np.random.default_rng(seed), noise=noise)
@@ -257,9 +245,12 @@ class Localizer:
         The matcher is left out, because all matchers that score all poses compute the same scores.
         """
         return {
-            **self.source.describe(), "sensor": self.sensor.geometry.describe(), "encoder": self.encoder.describe(),
-            "training": STAGE_VERSIONS["encoder"], "bank": STAGE_VERSIONS["bank"],
-        }  # fmt: skip
+            **self.source.describe(),
+            "sensor": self.sensor.geometry.describe(),
+            "encoder": self.encoder.describe(),
+            "training": STAGE_VERSIONS["encoder"],
+            "bank": STAGE_VERSIONS["bank"],
+        }
 
     @property
     def other_refinement(self) -> str:
@@ -269,13 +260,16 @@ class Localizer:
     @property
     def mode_radius_m(self) -> float:
         """Distance below which poses belong to one mode, metres."""
-        spacing_mm: float = self.sampler.options.spacing_mm
-        return self.config.hypotheses.mode_radius * spacing_mm * 1e-3
+        return self._setup.mode_radius_m
 
     @property
     def merge_radius_m(self) -> float:
         """Distance below which refined poses count as one hypothesis, metres."""
-        return self.config.hypotheses.merge_radius * self.mode_radius_m
+        return self._setup.merge_radius_m
+
+    def make_views(self, touches: Sequence[Touch]) -> list[View]:
+        """Return the views of touches of this sensor, in the sensor frame of the first one."""
+        return [view_touch(touches[0], touch, self.scene.match_touch(touch)) for touch in touches]
 
     # answers
 
@@ -298,9 +292,10 @@ class Localizer:
         """
         times = StageTimes()
         alone = self.posteriors(touches, times)
+        each = times.shared_among(len(touches))
         return [
-            _Query.of([(self, touch)], None, top, None, times.shared_among(len(touches))).answer(_Scored([posterior]))
-            for touch, posterior in zip(touches, alone, strict=True)
+            localize_all(make_query([(self, touch)], top=top, times=each), make_method([(self, touch)]), Scored([one]))
+            for touch, one in zip(touches, alone, strict=True)
         ]
 
     def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
@@ -331,7 +326,7 @@ class Localizer:
         probability is that of the grid poses near it, before refinement. `localize` also compares other poses after
         refinement, and may find a better one.
         """
-        posterior, view = self.posterior(touch), make_view(touch, self, touch)
+        posterior, view = self.posterior(touch), self.make_views([touch])[0]
         index = posterior.find_likeliest()
         near = posterior.grid.find_within(self.mode_radius_m, index)
         (pose,) = self.refine(touch, posterior, [index])
@@ -349,7 +344,7 @@ class Localizer:
         """Refine poses of the posterior's grid, given by `indices`, against the touch; return them in this order."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
-        return self.refinement.refine([make_view(touch, self, touch)], candidates)
+        return self.refinement.refine([self.make_views([touch])[0]], candidates)
 
 
 def _make_generator(count: int, seed: int) -> np.random.Generator:
@@ -364,9 +359,13 @@ Observation = tuple[Localizer, Touch]
 
 @use_one_blas_thread()
 def localize_together(
-    observations: Sequence[Observation], prior: Prior | None = None, top: int | None = None,
-    coverage: float | None = None, scalings: Scalings | None = None, starts: Poses | None = None,
-) -> Localization:  # fmt: skip
+    observations: Sequence[Observation],
+    prior: Prior | None = None,
+    top: int | None = None,
+    coverage: float | None = None,
+    scalings: Scalings | None = None,
+    starts: Poses | None = None,
+) -> Localization:
     """Return the posterior over poses given touches of one object, and its `top` distinct hypotheses, refined.
 
     Each touch comes with the localizer of its object and its sensor; sensors may differ. If there are several touches,
@@ -380,25 +379,10 @@ def localize_together(
     `drop_outliers`, the other touches are located again without the outliers. The outliers are then in
     `Localization.left_out`, and poses are in the sensor frame of the first remaining touch.
     """
-    _require_one_object(observations)
-    require_within_reach([touch for _, touch in observations], observations[0][0].object)
-    query = _Query.of(observations, prior, top, coverage, StageTimes(), scalings, starts)
-    while True:
-        scored = query.score_each()
-        try:
-            found = query.answer(scored)
-            outliers = found.agreement.outliers
-        except GridError as error:
-            outliers = query.find_excluding(scored.alone)
-            if not outliers:
-                raise
-            if not query.first.config.drop_outliers:
-                name = query.touches[outliers[0]].name
-                raise GridError(f"{error}. Without {name}, the other touches agree: give `drop_outliers`") from error
-        if not outliers or not query.first.config.drop_outliers:
-            left_out = tuple(touch for _, touch in observations if all(touch is not one for one in query.touches))
-            return replace(found, left_out=left_out)
-        query = query.leave_out(outliers)
+    query = make_query(observations, prior, top)
+    require_within_reach(query.touches, observations[0][0].object)
+    chosen = _choose_coverage(observations, coverage, scalings)
+    return localize_all(replace(query, coverage=chosen, starts=starts), make_method(observations, scalings))
 
 
 def compute_posterior_together(
@@ -408,215 +392,56 @@ def compute_posterior_together(
 
     Adds stage durations to `times`.
     """
+    query, method = make_query(observations, prior, times=times), make_method(observations)
+    return require_posterior(method.fuse(method.search(query), query))
+
+
+def make_query(
+    observations: Sequence[Observation], prior: Prior | None = None, top: int | None = None,
+    times: StageTimes | None = None,
+) -> Query:  # fmt: skip
+    """Make a query; if `top` is None, the first localizer's setting is used.
+
+    Raises TactileLocError if `top` is below 1, or if touches cannot be located together.
+    """
     _require_one_object(observations)
-    query = _Query.of(observations, prior, None, None, times or StageTimes())
-    return query.fuse(query.score_each().alone)
+    (localizer, first), touches = observations[0], [touch for _, touch in observations]
+    if len(touches) > 1:
+        require_sensor_poses([touch.T_base_sensor for touch in touches])
+    top = localizer.config.top if top is None else top
+    if top < 1:
+        raise ConfigError(f"cannot list {top} hypotheses; set `top` to 1 or more")
+    views = [view_touch(first, touch, own.scene.match_touch(touch)) for own, touch in observations]
+    return Query(views, prior, top, times=times or StageTimes())
 
 
-@dataclass(frozen=True, eq=False)
-class _Scored:
-    """Each touch's own posterior and, after a search with all touches, the places that match it."""
-
-    alone: Sequence[PosePosterior]
-    matched: Sequence[Matched] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class _Query:
-    """Touches to locate together, each with its localizer, and a prior over poses in the first touch's sensor frame."""
-
-    observations: Sequence[Observation]
-    views: Sequence[View]
-    prior: Prior | None
-    top: int
-    coverage: float | None
-    times: StageTimes
-    scalings: Scalings | None = None
-    starts: Poses | None = None
-
-    @classmethod
-    def of(
-        cls, observations: Sequence[Observation], prior: Prior | None, top: int | None, coverage: float | None,
-        times: StageTimes, scalings: Scalings | None = None, starts: Poses | None = None,
-    ) -> _Query:  # fmt: skip
-        """Make a query; if `top` or `coverage` is None, the first localizer's setting is used.
-
-        With `scalings`, nothing is fitted, so the setting `coverage` has no effect. Raises TactileLocError if `top` is
-        below 1, if one of several touches has no sensor pose, or if a coverage cannot be promised.
-        """
-        first, touch = observations[0]
-        top = first.config.top if top is None else top
-        if top < 1:
-            raise ConfigError(f"cannot list {top} hypotheses; set `top` to 1 or more")
-        if coverage is not None and scalings is not None:
-            raise ConfigError(f"no `coverage` of {coverage:g} can be promised without a fit; leave out `scalings`")
-        coverage = first.config.coverage if coverage is None and scalings is None else coverage
-        masks = [touch.name for _, touch in observations if not touch.has_depths]
-        if coverage is not None and masks:
-            raise ConfigError(f"no `coverage` can be promised for {masks[0]}, which is a contact mask; leave it out")
-        if len(observations) > 1:
-            require_sensor_poses([touch.T_base_sensor for _, touch in observations])
-        views = [make_view(touch, localizer, other) for localizer, other in observations]
-        return cls(observations, views, prior, top, coverage, times, scalings, starts)
-
-    @property
-    def first(self) -> Localizer:
-        return self.observations[0][0]
-
-    @property
-    def touches(self) -> list[Touch]:
-        return [touch for _, touch in self.observations]
-
-    def choose_scalings(self, localizer: Localizer) -> Scalings | FittedProbabilities:
-        """Return the given scalings or, if there are none, those that are fitted to the localizer's object."""
-        return self.scalings or localizer.probabilities
-
-    @property
-    def start_radius_m(self) -> float:
-        return self.first.config.hypotheses.start_radius * self.first.mode_radius_m
-
-    def score_each(self) -> _Scored:
-        """Score poses for each touch, and add stage durations to `times`.
-
-        The posterior is over the localizer's grid, or over the poses found by a search with all touches.
-        """
-        searches = [localizer.search for localizer, _ in self.observations]
-        if len(searches) == 1 or not any(searches):
-            return _Scored([
-                one.posteriors([touch], self.times, self.prior, self.choose_scalings(one).temperature_scaling)[0]
-                for one, touch in self.observations
-            ])  # fmt: skip
-        together = [search for search in searches if search is not None]
-        if len(together) < len(searches):
-            raise ConfigError("some localizers search the whole object and others a grid of listed poses; give all of "
-                              "them the grid whole, or none")  # fmt: skip
-        found = search_together(self.views, together, self.times, self.prior)
-        scalings = [self.choose_scalings(localizer).temperature_scaling for localizer, _ in self.observations]
-        elsewhere = self.choose_scalings(self.first).fused_scaling.elsewhere(found.best, len(self.views))
-        return _Scored(found.posteriors(self.views, scalings, elsewhere), found.matched)
-
-    def fuse(self, alone: Sequence[PosePosterior]) -> PosePosterior:
-        """Fuse the touches' posteriors and the prior over the first touch's grid.
-
-        All posteriors are tempered for the number of touches.
-        """
-        count = len(alone) + count_touches(self.prior)
-        powers = [self.choose_scalings(localizer).fused_scaling.power(count) if count > 1 else 1.0
-                  for localizer, _ in self.observations]  # fmt: skip
-        with self.times.stage("fuse"):
-            each = [posterior.temper(power) for posterior, power in zip(alone, powers, strict=True)]
-            try:
-                fused = self.first.fuser.fuse(each, [touch.T_base_sensor for touch in self.touches], self.known)
-            except NoCommonPoseError as error:
-                raise error.name_touch([touch.name for touch in self.touches]) from error
-        return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in alone))
-
-    def answer(self, scored: _Scored) -> Localization:
-        """Make the result from each touch's own posterior: fuse the posteriors, then propose, refine and weigh modes.
-
-        Adds stage durations to `times`.
-        """
-        alone = scored.alone
-        posterior = self.fuse(alone)
-        with self.times.stage("modes"):
-            top = self.top if self.coverage is None else max(self.top, LISTED)
-            modes = self.first.source.propose(self.views, alone, posterior, top)
-            if self.first.source.searched:
-                modes = add_expected_modes(modes, posterior, self.known, self.start_radius_m)
-            modes = [*modes, *self._list_starts(posterior)]
-        hypotheses, agreement = self._refine(modes, scored, posterior)
-        touch, *others = self.touches
-        found = Localization(
-            touch, posterior, hypotheses, self.times.seconds, tuple(others), None, agreement, config=self.first.config
-        )
-        middle_m = self.first.object.mesh.centroid_m
-        found = replace(found, unexpected=is_unexpected(self.known, found.best.T_sensor_object, middle_m))
-        pose_set = self._choose_set(found)
-        with self.times.stage("choose"):
-            kept = hypotheses[: self.top if pose_set is None else pose_set.poses]
-            listed = self.first.refinement.add_covariances(self.views, kept)
-        placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
-        return replace(found, hypotheses=placed, unlisted=hypotheses[len(placed) :], pose_set=pose_set)
-
-    def _list_starts(self, posterior: PosePosterior) -> list[Mode]:
-        """Return the poses `starts` as modes of the posterior, without members."""
-        if self.starts is None:
-            return []
-        nearest = posterior.grid.nearest(self.starts)[1]
-        return [Mode(int(index), 0.0, T, np.empty(0, np.int64)) for index, T in zip(nearest, self.starts, strict=True)]
-
-    @property
-    def known(self) -> Prior | None:
-        """The prior, tempered for all touches, because an earlier posterior was tempered only for its own touches."""
-        told = count_touches(self.prior)
-        if self.prior is None or not told:
-            return self.prior
-        power = self.choose_scalings(self.first).fused_scaling.power
-        return temper(self.prior, lambda count: power(len(self.observations) + told) / power(count))
-
-    def _choose_set(self, found: Localization) -> PoseSet | None:
-        """Return the hypotheses that a requested coverage needs; None if no coverage was requested."""
-        if self.coverage is None:
-            return None
-        contradictory = found.agreement.contradictory
-        return PoseSet.of(rank(found), self.first.conformal_sets, self.coverage, contradictory)
-
-    def _refine(
-        self, modes: Sequence[Mode], scored: _Scored, posterior: PosePosterior
-    ) -> tuple[tuple[Hypothesis, ...], Agreement]:
-        first, search = self.first, self.first.search
-        improves = search is not None and first.refinement.refiner.capabilities.refines
-        trials = PoseTrials(
-            self.views, modes, partial(self._start_alone, scored), search.registration if search and improves else None,
-            first.refinement.refine, posterior.grid.metric, self.known, first.config.hypotheses, self.start_radius_m,
-            first.merge_radius_m, self.times,
-        )  # fmt: skip
-        return (trials.find(()), Agreement()) if len(self.views) == 1 else find_agreement(trials)
-
-    def _start_alone(self, scored: _Scored, number: int) -> tuple[PoseGrid, NDArray[np.float64]]:
-        """Return poses to refine against one touch alone, and their scores (K,)."""
-        search = self.observations[number][0].search
-        if search is None:
-            posterior = scored.alone[number]
-            listed = posterior.top(self.first.config.hypotheses.listed)
-            return PoseGrid(posterior.grid.T_sensor_object[listed], posterior.grid.metric), posterior.log_p[listed]
-        with self.times.stage("register"):
-            view = self.views[number]
-            return search.find_starts_alone(View(view.touch, view.scene), scored.matched[number])
-
-    def find_excluding(self, alone: Sequence[PosePosterior]) -> tuple[int, ...]:
-        """Return the number of the touch that excludes all poses of the other touches, as a tuple.
-
-        The tuple is empty if there are fewer than three touches, or if none or several of them exclude the others'
-        poses.
-        """
-        if len(self.observations) < 3:
-            return ()
-        excluding = []
-        for k in range(len(self.observations)):
-            rest = [*self.observations[:k], *self.observations[k + 1 :]]
-            try:
-                rest[0][0].fuser.fuse([*alone[:k], *alone[k + 1 :]], [touch.T_base_sensor for _, touch in rest])
-            except GridError:
-                continue
-            excluding.append(k)
-        return tuple(excluding) if len(excluding) == 1 else ()
-
-    def leave_out(self, outliers: Sequence[int]) -> _Query:
-        """Make a query of the touches that are not outliers, in the sensor frame of the first of these touches."""
-        left = [one for k, one in enumerate(self.observations) if k not in outliers]
-        before, after = self.touches[0], left[0][1]
-        prior, starts = self.prior, self.starts
-        if after is not before:
-            T_before_after = invert(np.asarray(before.T_base_sensor)) @ np.asarray(after.T_base_sensor)
-            prior = None if prior is None else SeenFrom(prior, T_before_after)
-            starts = None if starts is None else invert(T_before_after) @ starts
-        return _Query.of(left, prior, self.top, self.coverage, self.times, self.scalings, starts)
+def make_method(observations: Sequence[Observation], scalings: Scalings | None = None) -> LocatingMethod:
+    """Return the components that locate touches together. Without `scalings`, they are fitted to the object."""
+    localizers = [localizer for localizer, _ in observations]
+    first, sources = localizers[0], [localizer.source for localizer in localizers]
+    fitted = [scalings or localizer.probabilities for localizer in localizers]
+    return LocatingMethod(sources, fitted, first.fuser, first.refinement, first.config)
 
 
-def make_view(first: Touch, localizer: Localizer, touch: Touch) -> View:
-    """Return the view of a touch: its scene, and the transform from the first touch's sensor frame to its own."""
-    return view_touch(first, touch, localizer.scene.match_touch(touch))
+def _choose_coverage(
+    observations: Sequence[Observation], asked: float | None, scalings: Scalings | None
+) -> Coverage | None:
+    """Return the requested coverage, or that of the first localizer's settings, with its fitted sets.
+
+    Raises ConfigError if a coverage cannot be promised.
+    """
+    first, _ = observations[0]
+    if scalings is not None:
+        if asked is not None:
+            raise ConfigError(f"no `coverage` of {asked:g} can be promised without a fit; leave out `scalings`")
+        return None
+    probability = first.config.coverage if asked is None else asked
+    if probability is None:
+        return None
+    masks = [touch.name for _, touch in observations if not touch.has_depths]
+    if masks:
+        raise ConfigError(f"no `coverage` can be promised for {masks[0]}, which is a contact mask; leave it out")
+    return Coverage(probability, first.conformal_sets)
 
 
 def _require_one_object(observations: Sequence[Observation]) -> None:

@@ -1,57 +1,68 @@
-"""Agreement of several touches: whether one pose explains all of them, and which touch contradicts the others."""
+"""Touches that contradict the others: they are found by locating again without each, and can be left out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import transform_points
+from tactile_loc.core.geometry.rigid import Poses, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import Mode
-from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.registration.joint_registration import JointRegistration
+from tactile_loc.core.poses.posterior import Mode, NoPoseLeft
 from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.options import HypothesisOptions
-from tactile_loc.locate.hypotheses import (
-    Refine,
-    compare_outliers,
-    compute_imprint_ious,
-    find_hypotheses,
-    keep_apart,
-    keep_likeliest,
-)
-from tactile_loc.locate.result.localization import Agreement, Hypothesis
+from tactile_loc.locate.hypotheses import compare_where_seen, keep_apart, keep_likeliest
+from tactile_loc.locate.method import LocatingMethod, Query
+from tactile_loc.locate.pipeline import Solution, conclude, explain, localize
+from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.sources.source import Scored
 
 FAR = 0.45  # a touch contradicts a pose if another pose's imprint IoU with the touch is greater by more than this
 WELL = 0.7  # mean imprint IoU above which touches agree on a pose
 ALONE = 8  # poses that are refined against one touch alone
-# Coarse mean imprint IoUs: from PROMISING on, poses are refined without a trial. If all poses are below UNPROMISING
-# even after coarse registration, only one is refined, because refined poses hardly reach WELL then.
-PROMISING, UNPROMISING = 0.8, 0.6
 
 Hypotheses = tuple[Hypothesis, ...]
 
 
-class Trials(Protocol):
-    """Ways to explain touches, each of which takes time. Touches are numbered from 0."""
+def localize_all(query: Query, method: LocatingMethod, scored: Scored | None = None) -> Localization:
+    """Locate the touches of a query, and find those that contradict the others.
 
-    def find(self, outliers: tuple[int, ...]) -> Hypotheses:
-        """Return hypotheses refined against all touches except `outliers`, whose imprint IoUs are NaN."""
+    `scored` is as for `localize`. If the configuration sets `drop_outliers`, the other touches are located again
+    without them. Raises GridError if no pose fits the touches.
+    """
+    solution, drops = localize(query, method, scored), method.config.drop_outliers
+    if isinstance(solution, NoPoseLeft):
+        return _localize_rest(query, method, (_require_outlier(solution, query, drops),))
+    hypotheses, agreement = solution.hypotheses, Agreement()
+    if len(query.views) > 1:
+        hypotheses, agreement = find_agreement(Trials(query, method, solution))
+    if agreement.outliers and drops:
+        return _localize_rest(query, method, agreement.outliers)
+    return conclude(query, method, solution.posterior, hypotheses, agreement)
 
-    def compare_outliers(self, hypotheses: Hypotheses, outliers: tuple[int, ...]) -> Hypotheses:
-        """Return the hypotheses of `find` with the imprint IoUs of the outliers."""
 
-    def explain_alone(self, number: int) -> float:
-        """Return a touch's best imprint IoU, 0 to 1, with any pose refined against this touch alone."""
+def _localize_rest(query: Query, method: LocatingMethod, outliers: Sequence[int]) -> Localization:
+    """Locate the touches of a query again without its outliers."""
+    found = localize_all(query.leave_out(outliers), method.leave_out(outliers))
+    left_out = tuple(touch for touch in query.touches if all(touch is not one for one in found.touches))
+    return replace(found, left_out=left_out)
+
+
+def _require_outlier(left: NoPoseLeft, query: Query, drops: bool) -> int:
+    """Return the number of the touch without which the others share a pose.
+
+    Raises GridError if there is none, or if the configuration does not drop it.
+    """
+    if left.outlier is None:
+        raise GridError(left.reason)
+    if not drops:
+        name = query.touches[left.outlier].name
+        raise GridError(f"{left.reason}. Without {name}, the other touches agree: give `drop_outliers`")
+    return left.outlier
 
 
 def find_agreement(trials: Trials) -> tuple[Hypotheses, Agreement]:
@@ -98,7 +109,7 @@ class _BestIous:
         for number in np.flatnonzero((self.ious - here <= FAR) & (1 - here > FAR)).tolist():
             if number not in self._alone:
                 self._alone.add(number)
-                self.ious[number] = max(self.ious[number], self.trials.explain_alone(number))
+                self.ious[number] = max(self.ious[number], self.trials.find_best_iou_alone(number))
         return set(np.flatnonzero(self.ious - here > FAR).tolist())
 
     def conclude(
@@ -110,66 +121,63 @@ class _BestIous:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseTrials:
-    """Trials that refine `modes` against touches, which are seen in `views`.
+class Trials:
+    """Ways to explain the touches of a query, each of which takes time. Touches are numbered from 0.
 
-    `starts_alone` returns poses to refine against one touch alone, and their scores, given the touch's number. With a
-    `registration`, only one pose is refined if none can explain the touches well. Poses to refine are at least
-    `start_radius_m` metres apart, and equal poses are merged within `merge_radius_m` metres.
+    `solution` is what the pipeline found for all touches.
     """
 
-    views: Sequence[View]
-    modes: Sequence[Mode]
-    starts_alone: Callable[[int], tuple[PoseGrid, NDArray[np.float64]]]
-    registration: JointRegistration | None
-    refine: Refine
-    metric: PoseMetric
-    prior: Prior | None
-    options: HypothesisOptions
-    start_radius_m: float
-    merge_radius_m: float
-    times: StageTimes
+    query: Query
+    method: LocatingMethod
+    solution: Solution
 
     def find(self, outliers: tuple[int, ...]) -> Hypotheses:
-        """Refine modes against all touches except outliers: see `Trials`."""
-        modes = self.modes
-        if outliers:
-            trusted = [view for k, view in enumerate(self.views) if k not in outliers]
-            modes = self._keep_promising(trusted)
-        return find_hypotheses(
-            self.views, modes, self.refine, self.metric, self.merge_radius_m, self.prior, self.times, outliers
-        )
+        """Return hypotheses refined against all touches except `outliers`, whose imprint IoUs are NaN."""
+        if not outliers:
+            return self.solution.hypotheses
+        modes = self._keep_promising([view for k, view in enumerate(self.query.views) if k not in outliers])
+        return explain(self.query, self.method, modes, outliers)
 
-    def _keep_promising(self, trusted: Sequence[View]) -> list[Mode]:
-        """Return the modes that explain trusted touches best; only one if no mode can explain them well.
-
-        Modes that do not explain the touches yet are registered coarsely, which takes less time than to refine them.
-        """
-        modes, ious = keep_likeliest(self.modes, trusted, self.start_radius_m, self.options)
-        if self.registration is None or ious[0] >= PROMISING:
+    def _keep_promising(self, trusted: Sequence[View]) -> Sequence[Mode]:
+        """Return the modes that explain trusted touches best, without those that are not worth refining."""
+        source, options = self.method.source, self.method.config.hypotheses
+        modes, ious = keep_likeliest(self.solution.modes, trusted, source.setup.start_radius_m, options)
+        if not self.method.refinement.refiner.capabilities.refines:
             return modes
-        with self.times.stage("register"):
-            poses = self.registration.register_coarsely(trusted, np.stack([mode.T_sensor_object for mode in modes]))
-            ious = compute_imprint_ious(trusted, poses, self.options.image_px, self.start_radius_m).mean(axis=1)
-        return modes if ious.max() >= UNPROMISING else [modes[int(ious.argmax())]]
+        return source.keep_promising(modes, ious, trusted, self.query.times)
 
     def compare_outliers(self, hypotheses: Hypotheses, outliers: tuple[int, ...]) -> Hypotheses:
-        """Add the imprint IoUs of the outliers: see `Trials`."""
-        with self.times.stage("choose"):
-            return compare_outliers(self.views, hypotheses, self.refine, outliers)
+        """Return the hypotheses of `find` with the imprint IoUs of the outliers.
 
-    def explain_alone(self, number: int) -> float:
-        """Return a touch's best imprint IoU with any pose: see `Trials`.
+        An outlier's sensor pose may have an error, so each pose is also refined against the outlier alone.
+        """
+        views, T = self.query.views, np.stack([h.T_sensor_object for h in hypotheses])
+        ious = np.array([h.imprint_ious for h in hypotheses])
+        with self.query.times.stage("choose"):
+            for number in outliers:
+                view = views[number]
+                seen = self._refine_alone(view, view.T_sensor_first @ T)[:, None]
+                ious[:, number] = compare_where_seen([view], T, seen, views[0])[0][:, 0]
+        return tuple(replace(h, imprint_ious=tuple(each.tolist())) for h, each in zip(hypotheses, ious, strict=True))
+
+    def find_best_iou_alone(self, number: int) -> float:
+        """Return a touch's best imprint IoU, 0 to 1, with any pose refined against this touch alone.
 
         The ALONE poses with the highest scores are refined, except those near a pose with a higher score.
         """
-        grid, scores = self.starts_alone(number)
-        with self.times.stage("refine"):
+        source, view = self.method.sources[number], self.query.views[number]
+        alone = View(view.touch, view.scene)
+        grid, scores = source.list_starts_alone(alone, self.solution.scored, number, self.query.times)
+        with self.query.times.stage("refine"):
             poses = grid.T_sensor_object
-            poses = poses[keep_apart(poses, scores, grid.metric, self.start_radius_m, ALONE)]
-            alone = View(self.views[number].touch, self.views[number].scene)
-            refined = self.refine([alone], [Candidate(T, -1, 0.0) for T in poses])
-            return float(alone.imprint_ious(np.stack([pose.T_sensor_object for pose in refined])).max())
+            poses = poses[keep_apart(poses, scores, grid.metric, self.method.source.setup.start_radius_m, ALONE)]
+            return float(alone.imprint_ious(self._refine_alone(alone, poses)).max())
+
+    def _refine_alone(self, view: View, poses: Poses) -> Poses:
+        """Return poses (K, 4, 4), metres, in the frame of a touch's own sensor, refined against this touch alone."""
+        candidates = [Candidate(T, -1, 0.0) for T in poses]
+        refined = self.method.refinement.refine([View(view.touch, view.scene)], candidates)
+        return np.stack([pose.T_sensor_object for pose in refined])
 
 
 def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:

@@ -255,7 +255,7 @@ class _Registration:
     @classmethod
     def of(cls, localizer: Localizer, given: FlangeTouches) -> _Registration:
         views = [View(touch, localizer.scene.match_touch(touch)) for touch in given.touches]
-        return cls(given, views, localizer.refinement.registration, PoseMetric(localizer.object))
+        return cls(given, views, localizer.registration, PoseMetric(localizer.object))
 
     def converge(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
         """Fit X and Y to the touches marked in `some` (N,). Pass `finely` if X and Y are already near the result."""

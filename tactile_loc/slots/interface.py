@@ -2,7 +2,7 @@
 
 | version | what changed |
 |---|---|
-| 2 | `Matcher.scores` takes `weights` (before: `Matcher.weighted_scores`); `Capabilities.weights` |
+| 2 | `Matcher.scores` takes `weights`; `Capabilities.weights`; `Fuser.fuse` may return `NoPoseLeft` |
 | 1 | the first version |
 """
 

@@ -30,7 +30,7 @@ from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import ConfigError, StoreError, TactileLocError, TouchError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
-from tactile_loc.locate.localizer import Localizer, localize_together, make_view
+from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.probability.probabilities import FusedScaling, Scalings, TemperatureScaling
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import MOSTLY_ELSEWHERE, Verdict, judge
@@ -258,7 +258,7 @@ def compare_fully(model: Localizer, found: Localization) -> Float64:
 
     The touches that were left out come last: no hypothesis explains them.
     """
-    views = [make_view(found.touch, model, touch) for touch in found.touches]
+    views = model.make_views(found.touches)
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     seen = None if len(views) == 1 else find_seen_poses(views, [h.refined for h in found.hypotheses])
     evidence = compare_where_seen(views, poses, seen)[1]

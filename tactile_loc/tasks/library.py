@@ -26,8 +26,8 @@ from tactile_loc.core.places.imprints import compare_imprints
 from tactile_loc.core.runtime.byte_cache import ByteCache
 from tactile_loc.core.sensing.scene import IOU_PX
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.localizer import Localizer, make_view
-from tactile_loc.locate.sources.whole_object import PlaceSearch, TouchBounds, bound_touch, fit_roughly
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.sources.place_search import PlaceSearch, TouchBounds, bound_touch
 from tactile_loc.tasks.library_parts import GivenParts, Parts, open_search
 from tactile_loc.tasks.shortlist import Shortlist
 from tactile_loc.tasks.votes import Asked, DescribedPlaces, join_votes, rate_alone, rate_object
@@ -187,10 +187,9 @@ class Library:
     def look_into(self, k: int, comparison: Comparison, examined: Examined) -> RoughFit:
         """Search object k roughly, starting from the examined poses."""
         with self.use(k) as model:
-            first, *_ = touches = comparison.touches
-            views = [make_view(first, model, touch) for touch in touches]
+            views = model.make_views(comparison.touches)
             poses = [invert(view.T_sensor_first) @ some for view, some in zip(views, examined.poses, strict=True)]
-            evidence, iou = fit_roughly(views, open_search(model), np.concatenate(poses), REGISTERED)
+            evidence, iou = model.source.fit_roughly(views, np.concatenate(poses), REGISTERED)
             return RoughFit(comparison.full_evidence - evidence, iou)
 
     def describe(self, k: int) -> DescribedPlaces:

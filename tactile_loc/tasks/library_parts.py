@@ -23,8 +23,9 @@ from tactile_loc.library.folder import LibraryFolder
 from tactile_loc.library.localizers import make_localizer
 from tactile_loc.library.record import PartRecord
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.sources.place_search import PlaceSearch
 from tactile_loc.locate.sources.stored_places import make_places_key
-from tactile_loc.locate.sources.whole_object import PlaceSearch
+from tactile_loc.locate.sources.whole_object import WholeObjectSource
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
@@ -201,9 +202,9 @@ class _PlacesOf:
 
 def open_search(model: Localizer) -> PlaceSearch:
     """Return the search of a localizer. Raises ConfigError if its grid lists poses."""
-    if model.search is None:
+    if not isinstance(model.source, WholeObjectSource):
         raise ConfigError(_explain_listed(model.object.name))
-    return model.search
+    return model.source.place_search
 
 
 def _save_description(model: Localizer, work: Workspace) -> None:

@@ -15,7 +15,7 @@ from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.core.runtime.turns import Turns, pause_before
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compare_refined
-from tactile_loc.locate.localizer import Localizer, localize_together, make_view
+from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.tracking.key_touches import drop_nearest, measure_motion_m
 from tactile_loc.tracking.track_modes import TrackMode
@@ -117,9 +117,9 @@ def search_keys(
     right = 0.0 if found is None else found.probability_within()
     if found is None or not known:
         return Searched(keys, found, right, (), np.zeros(0))
-    views = [make_view(keys[0], localizer, key) for key in keys]
+    views = localizer.make_views(keys)
     T_first_object = invert(np.asarray(keys[0].T_base_sensor)) @ np.stack([mode.known.T_base_object for mode in known])
-    refined = localizer.refinement.registration.refine(views, T_first_object)
+    refined = localizer.registration.refine(views, T_first_object)
     ious = compare_refined(views, refined, range(len(views))).mean(axis=1)
     poses = np.stack([pose.T_sensor_object for pose in refined])
     same = localizer.config.tolerance.find_within(localizer.object, found.best.T_sensor_object, poses)

@@ -72,7 +72,7 @@ class ModeFilter:
         self.localizer, self.creep = localizer, creep
         self.options = options = localizer.config.tracker
         nearby = RegistrationOptions(scale_mm=options.near_mm, iterations=options.iterations)
-        self._nearby, self._first = JointRegistration(nearby), localizer.refinement.registration
+        self._nearby, self._first = JointRegistration(nearby), localizer.registration
         self._slip_std = np.array([1e-3 * options.slip_mm] * 3 + [math.radians(options.slip_deg)] * 3)
         self._metric = PoseMetric(localizer.object)
         self.relative = False

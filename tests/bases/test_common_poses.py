@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from message_helpers import missing, naming
+from message_helpers import missing
 
-from tactile_loc.bases.common_poses import SAMPLE, NoCommonPoseError, find_common_poses
+from tactile_loc.bases.common_poses import SAMPLE, find_common_poses
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.runtime.errors import GridError
+from tactile_loc.core.poses.posterior import NoPoseLeft
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +46,15 @@ def test_common_poses_are_the_intersection_of_all_grids(grid):
         np.testing.assert_allclose(other.T_sensor_object[found], seen, atol=1e-12)
 
 
-def test_the_error_names_the_contact_that_removes_the_last_pose(grid):
+def test_the_reason_names_the_contact_that_removes_the_last_pose(grid):
     x = grid.T_sensor_object[:, 0, 3]
     keeps = [x > 0.011, x > 0.003, x < 0.009]  # the second and fourth contact have no pose in common
     T_base_sensor = sensors(4)
     lefts = [int((x < 0.009).sum()), int((x > 0.011).sum())]  # the contact that keeps fewer poses is checked first
     contact, left = (2, lefts[0]) if lefts[0] < lefts[1] else (4, lefts[1])
-    with pytest.raises(GridError, match=naming(contact, left, 660)):
-        find_common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
+    found = find_common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
+    assert isinstance(found, NoPoseLeft)
+    assert not missing(found.reason, contact, left, 660)
 
 
 def test_the_contact_that_removes_most_remaining_poses_is_checked_next(grid):
@@ -62,10 +63,10 @@ def test_the_contact_that_removes_most_remaining_poses_is_checked_next(grid):
     keeps = [x > 0.017, y < 0.009, x < 0.017]
     assert keeps[0].sum() < keeps[1].sum() < keeps[2].sum()
     T_base_sensor = sensors(4)
-    with pytest.raises(NoCommonPoseError, match=naming("touch 4", keeps[0].sum(), 660)) as caught:
-        find_common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
-    named = caught.value.name_touch(["a.npz", "b.npz", "c.npz", "d.npz"])
-    assert not missing(str(named), "touch 4 (d.npz)", 660)
+    found = find_common_poses(parts(grid, T_base_sensor, keeps), T_base_sensor, 0.3, np.ones(len(grid), bool))
+    assert isinstance(found, NoPoseLeft)
+    assert not missing(found.reason, "touch 4", keeps[0].sum(), 660)
+    assert not missing(found.name_touch(["a.npz", "b.npz", "c.npz", "d.npz"]).reason, "touch 4 (d.npz)", 660)
 
 
 def test_no_possible_pose_gives_an_empty_result(grid):

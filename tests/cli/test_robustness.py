@@ -17,7 +17,7 @@ from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, hear_ct
 # `tactile-loc build` with small shards; it prints a line and waits at the point that its first argument names
 BUILD = """
 import signal, sys
-from tactile_loc.locate.sources import listed_model as model
+from tactile_loc.locate.sources import listed_grid as model
 from tactile_loc.locate.probability import probabilities
 from tactile_loc.store.workspace import Workspace
 from tactile_loc_cli.main import main

@@ -136,7 +136,7 @@ def test_what_is_kept_in_memory_stays_below_the_bound(open_library, touch, monke
 def test_a_released_localizer_gives_the_same_answer(open_library, touch):
     model = open_library().models[0]
     first = model.localize(touch)
-    assert model.loaded_bytes > model.search.places.patches.nbytes
+    assert model.loaded_bytes > model.source.places.patches.nbytes
     model.release()
     assert model.loaded_bytes == 0
     again = model.localize(touch)

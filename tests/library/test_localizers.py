@@ -42,10 +42,10 @@ def test_a_touch_is_located_as_with_the_mesh(record, meshes, store, monkeypatch)
 def test_released_and_pickled_localizers_read_the_places_again(record, store, monkeypatch):
     monkeypatch.setattr(WholeGrid, "places", None)
     localizer = open_localizer(record, "digit", store, **SETTINGS)
-    count = len(localizer.search.places)
+    count = len(localizer.source.places)
     localizer.release()
-    assert len(localizer.search.places) == count == len(record.places)
-    assert len(pickle.loads(pickle.dumps(localizer)).search.places) == count
+    assert len(localizer.source.places) == count == len(record.places)
+    assert len(pickle.loads(pickle.dumps(localizer)).source.places) == count
 
 
 def test_the_grid_is_that_of_the_record(record, store):

@@ -8,18 +8,18 @@ import pytest
 from tactile_loc.core.geometry.rigid import make_translation, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.poses.candidate import Candidate, RefinedPose
+from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.ranking import TIE_NATS
-from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.locate.hypotheses import (
+    assign_probabilities,
     choose_best_apart,
+    compare,
     compare_where_seen,
     compute_nats,
-    find_hypotheses,
     merge_hypotheses,
     split_modes,
     weigh,
@@ -78,12 +78,12 @@ def test_split_modes_keep_the_peaks_and_share_all_members(metric):
 
 def test_the_pose_that_explains_the_touch_best_comes_first(metric):
     three = [hypothesis(p, np.eye(4), imprint_iou=e) for p, e in ((0.6, 0.7), (0.3, 0.9), (0.1, 0.8))]
-    found = weigh(three, np.array([-2.0, 1.0, 0.5]), metric)
+    found = assign_probabilities(three, np.array([-2.0, 1.0, 0.5]), metric)
     assert [h.imprint_iou for h in found] == [0.9, 0.8, 0.7]
     p = np.array([h.probability for h in found])
     assert p.sum() == pytest.approx(1)
     np.testing.assert_allclose(np.log(p[:-1] / p[1:]), [0.5, 2.5])
-    alike = weigh([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], np.zeros(2), metric)
+    alike = assign_probabilities([hypothesis(p, np.eye(4)) for p in (0.6, 0.3)], np.zeros(2), metric)
     assert [h.probability for h in alike] == pytest.approx([0.45, 0.45])
 
 
@@ -94,7 +94,7 @@ def test_rounding_changes_neither_the_order_nor_the_probabilities_of_equal_poses
     listed = []
     for order in (np.arange(6), rng.permutation(6)):
         some = [hypothesis(1 / 6, poses[k]) for k in order]
-        listed.append(weigh(some, nats[order] + rng.uniform(-1, 1, 6) * TIE_NATS / 3, metric))
+        listed.append(assign_probabilities(some, nats[order] + rng.uniform(-1, 1, 6) * TIE_NATS / 3, metric))
     first, second = (np.stack([h.T_sensor_object for h in found]) for found in listed)
     assert np.array_equal(first, second)
     for found in listed:
@@ -112,16 +112,12 @@ def test_no_pose_comes_before_a_pose_that_explains_the_touches_better(make_box, 
     touch = Touch(ContactShape(depth_m, 1e-3), flat_camera)
     views = [View(touch, scene.match_touch(touch)) for _ in range(5)]
     poses = np.stack([left, make_translation([-0.0078, 0, 0]) @ left])
-    modes = [Mode(k, 0.5, T, np.array([k])) for k, T in enumerate(poses)]
-    found = find_hypotheses(views, modes, refine_nothing, metric, 1e-4, None, StageTimes())
+    refined = [(Mode(k, 0.5, T, np.array([k])), RefinedPose(T, 1.0, True, 0)) for k, T in enumerate(poses)]
+    found = weigh(compare(views, refined), len(views), metric)
     assert found[0].imprint_iou > found[1].imprint_iou + 0.05
     assert found[0].probability > found[1].probability
     evidence = views[0].compare_imprints(poses).evidence
     assert evidence[0] > evidence[1]
-
-
-def refine_nothing(views: list[View], candidates: list[Candidate]) -> list[RefinedPose]:
-    return [RefinedPose(one.T_sensor_object, 1.0, True, 0) for one in candidates]
 
 
 def test_small_differences_count_more_if_little_is_unexplained():
@@ -132,9 +128,9 @@ def test_small_differences_count_more_if_little_is_unexplained():
 
 def test_a_strong_prior_outweighs_a_better_explanation(metric):
     two, evidence = [hypothesis(0.5, np.eye(4), imprint_iou=e) for e in (0.8, 0.9)], np.array([0.0, 3.0])
-    assert weigh(two, evidence, metric, np.array([0.0, -2.7]))[0].imprint_iou == 0.9
-    assert weigh(two, evidence, metric, np.array([0.0, -3.3]))[0].imprint_iou == 0.8
-    assert weigh(two, evidence, metric, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
+    assert assign_probabilities(two, evidence, metric, np.array([0.0, -2.7]))[0].imprint_iou == 0.9
+    assert assign_probabilities(two, evidence, metric, np.array([0.0, -3.3]))[0].imprint_iou == 0.8
+    assert assign_probabilities(two, evidence, metric, np.array([0.0, -np.inf]))[0].imprint_iou == 0.8
 
 
 def test_a_touch_is_compared_at_other_sensor_poses_at_a_cost(make_box, make_scene, flat_camera):

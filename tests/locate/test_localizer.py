@@ -386,11 +386,11 @@ def test_a_press_that_is_not_in_memory_gives_the_same_poses(store, monkeypatch):
     (touch,), (other,) = localizer.simulate(1, 3, 8e-4), localizer.simulate(1, 3, 5e-4)
     found = []
     for some in (touch, other, touch):
-        poses, scores = localizer.search.alike(some, 200)
+        poses, scores = localizer.source.place_search.alike(some, 200)
         found.append((poses, scores))
     np.testing.assert_array_equal(found[0][0], found[2][0])
     np.testing.assert_array_equal(found[0][1], found[2][1])
-    assert len(localizer.search._banks._matchers) == 1
+    assert len(localizer.source.place_search._banks._matchers) == 1
 
 
 def test_a_refined_pose_has_a_covariance(pin, touches):

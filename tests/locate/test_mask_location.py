@@ -15,7 +15,7 @@ from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.hypotheses import compute_nats
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.verdict import Verdict, judge
-from tactile_loc.locate.sources.whole_object import list_presses, spread_anchors
+from tactile_loc.locate.sources.place_search import list_presses, spread_anchors
 from tactile_loc.slots.registry import registry
 
 SENSOR = {"name": "gelsight-mini", "gel": "rigid", "image_size_px": [160, 120]}

@@ -41,7 +41,7 @@ class Search:
     def compare_outliers(self, hypotheses, outliers: tuple[int, ...]) -> tuple[Hypothesis, ...]:
         return tuple(dataclasses.replace(h, imprint_ious=self.look_up(outliers)) for h in hypotheses)
 
-    def explain_alone(self, number: int) -> float:
+    def find_best_iou_alone(self, number: int) -> float:
         self.asked_alone.append(number)
         return self.alone
 

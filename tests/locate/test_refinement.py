@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from message_helpers import missing
 
-from tactile_loc.locate.refinement import Refinement
+from tactile_loc.locate.method import Refinement
 from tactile_loc.slots.registry import registry
 
 

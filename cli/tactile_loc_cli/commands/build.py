@@ -13,10 +13,8 @@ from tactile_loc_cli.console import say
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
-    from tactile_loc.core.poses.metric import PoseGrid
     from tactile_loc.locate.localizer import Localizer
 
-MOST_MEASURED = 2000  # approximate number of poses that give the mean spacing of a grid
 
 Given = Annotated[
     RunOptions,
@@ -60,9 +58,7 @@ def build(
 
 def build_model(localizer: Localizer, press_depth_m: float) -> None:
     """Build the stages for a touch of this press depth, in metres, or load the stages from the store."""
-    if localizer.search is None:
-        localizer.listed.matcher(press_depth_m)
-    _ = localizer.source.trained  # trains the encoder
+    localizer.source.prepare(press_depth_m)
     _ = localizer.probabilities.temperature_scaling  # fits the temperature
 
 
@@ -98,34 +94,22 @@ def _report(localizer: Localizer, several: bool, coverage: bool, seconds: float)
 
 def _describe_grid(localizer: Localizer) -> dict[str, Any]:
     """Print and return the number of poses to search."""
-    if localizer.search is not None:
-        places, turns = len(localizer.search.places), len(localizer.search.yaws_rad)
-        say(f"grid: {places} places of the whole object, each in {turns} rotations")
-        return {"places": places, "turns": turns}
-    grid = localizer.model.grid
-    spacing_m = _measure_spacing_m(grid)
-    apart = "" if spacing_m is None else f", {1e3 * spacing_m:.2f} mm apart on average"
-    say(f"grid: {len(grid)} poses{apart}")
-    return {"poses": len(grid), "mean_spacing_m": spacing_m}
+    counted = localizer.source.count_poses()
+    if "places" in counted:
+        say(f"grid: {counted['places']} places of the whole object, each in {counted['turns']} rotations")
+    else:
+        spacing_m = counted["mean_spacing_m"]
+        apart = "" if spacing_m is None else f", {1e3 * spacing_m:.2f} mm apart on average"
+        say(f"grid: {counted['poses']} poses{apart}")
+    return counted
 
 
 def _list_stages(localizer: Localizer, several: bool, coverage: bool) -> dict[str, str]:
     """Return "built" or "reused" for each stage."""
     built = [key.stage for key in localizer.store.built]
-    learned = ("encoder",) if localizer.encoder.capabilities.needs_training else ()
     temperatures: tuple[str, ...] = ("temperature", "fused-temperature") if several else ("temperature",)
     fitted = temperatures if localizer.config.temperature is None else ()
-    model = ("grid", "shapes", *learned, "bank") if localizer.search is None else ("places", *learned)
+    model = localizer.source.stages
     if coverage:
         fitted = (*fitted, "conformal")
     return {stage: "built" if stage in built else "reused" for stage in (*model, *fitted)}
-
-
-def _measure_spacing_m(grid: PoseGrid) -> float | None:
-    """Return the mean distance between neighbouring poses of a sample, in metres; None for a single pose."""
-    import numpy as np
-
-    if len(grid) < 2:
-        return None
-    some = np.arange(0, len(grid), max(1, len(grid) // MOST_MEASURED))
-    return float(grid.neighbour_spacing(some).mean())

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,26 @@ class Mode:
     probability: float
     T_sensor_object: NDArray[np.float64]
     members: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class NoPoseLeft:
+    """The result of a fusion that excludes all poses. `reason` states why in one sentence.
+
+    `touch` is the number, from 0, of the touch that excludes the last poses, if there is one. `outlier` is the number
+    of the only touch without which the other touches share a pose. It is None if there is no such touch, or several.
+    """
+
+    reason: str
+    touch: int | None = None
+    outlier: int | None = None
+
+    def name_touch(self, names: Sequence[str]) -> NoPoseLeft:
+        """Return the same result with the touch's name in its reason. `names` are those of all touches."""
+        if self.touch is None:
+            return self
+        number = f"touch {self.touch + 1}"
+        return replace(self, reason=self.reason.replace(number, f"{number} ({names[self.touch]})", 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +172,13 @@ class PosePosterior:
             Mode(int(core[tops[k]]), float(masses[k]), self.grid.T_sensor_object[core[tops[k]]], some)
             for k, some in zip(order, members, strict=True)
         ]
+
+
+def require_posterior(fused: PosePosterior | NoPoseLeft) -> PosePosterior:
+    """Return the posterior of a fusion. Raises GridError with the reason if no pose is left."""
+    if isinstance(fused, NoPoseLeft):
+        raise GridError(fused.reason)
+    return fused
 
 
 def _climb(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDArray[np.int64]:

@@ -25,7 +25,7 @@ from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.localization import Hypothesis, Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import REFUSED, Verdict
-from tactile_loc.locate.sources.listed_model import STAGE_VERSIONS
+from tactile_loc.locate.sources.listed_grid import STAGE_VERSIONS
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 

@@ -23,7 +23,7 @@ from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.sources.listed_model import make_bank_key, make_encoder_key, make_grid_key, make_shapes_key
+from tactile_loc.locate.sources.listed_grid import make_bank_key, make_encoder_key, make_grid_key, make_shapes_key
 from tactile_loc.slots.compatibility import require_compatible
 from tactile_loc.slots.component import Component
 from tactile_loc.slots.registry import SLOTS, registry

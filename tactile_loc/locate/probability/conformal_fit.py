@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.core.runtime.progress import NOTE, Progress
+from tactile_loc.core.runtime.progress import NOTE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compute_nats
 from tactile_loc.locate.probability import misses
@@ -20,8 +19,8 @@ from tactile_loc.locate.probability.conformal import ELSEWHERE, POWER, RARE, Con
 from tactile_loc.locate.probability.fitted_probabilities import Simulate
 from tactile_loc.locate.probability.probabilities import FUSED_VERSION, SEARCHED_NOISE
 from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.sources.source import SourceSetup
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 log = logging.getLogger(__name__)
@@ -43,17 +42,16 @@ Locate = Callable[[Sequence[Touch]], Localization]  # touches with sensor poses;
 class ConformalFit:
     """Fits the conformal sets of one localizer to simulated examples of one to five touches.
 
-    `simulate` draws touches with known poses, and `locate` locates the touches of one example. `described` are all
-    inputs of both, as JSON values. A pose is right within `radius_m` metres of the true pose.
+    `simulate` draws touches with known poses, and `locate` locates the touches of one example. `setup` has
+    the object and the store. `described` are all inputs of both, as JSON values. A pose is right within `radius_m`
+    metres of the true pose.
     """
 
     simulate: Simulate
     locate: Locate
-    metric: PoseMetric
+    setup: SourceSetup
     radius_m: float
     described: dict[str, Any]
-    store: StageStore
-    progress: Progress
 
     def load(self) -> ConformalSets:
         """Return the sets, fitted now or loaded from the store."""
@@ -63,8 +61,8 @@ class ConformalFit:
             "weights": compute_nats(WEIGHED, 2).round(6).tolist(), "misses": list(misses.WEIGHTS),
             "power": POWER, "rare": RARE, "radius_m": self.radius_m, "fused": FUSED_VERSION,
         }  # fmt: skip
-        key = StageKey(STAGE, STAGE_VERSION, inputs, self.metric.object.name)
-        return ConformalSets(**self.store.build(key, self._fit).load_json(STAGE))
+        key = StageKey(STAGE, STAGE_VERSION, inputs, self.setup.scene.object.name)
+        return ConformalSets(**self.setup.store.build(key, self._fit).load_json(STAGE))
 
     def _fit(self, work: Workspace) -> None:
         """Locate the examples, and save their scores."""
@@ -73,10 +71,10 @@ class ConformalFit:
         total = sum(sum(counts) for counts in EXAMPLES.values())
         log.log(
             NOTE, "the sets of poses for %s and this sensor are fitted once, to %d simulated examples",
-            self.metric.object.name, total,
+            self.setup.scene.object.name, total,
         )  # fmt: skip
         scores: list[float] = []
-        with self.progress.task("fitting the sets of poses", total) as advance:
+        with self.setup.progress.task("fitting the sets of poses", total) as advance:
             for score in map_in_threads(self._score, self._draw_examples()):
                 advance(1)
                 if score is not None:
@@ -103,7 +101,7 @@ class ConformalFit:
         """Return the number of the first hypothesis that is right, or ELSEWHERE."""
         T = np.stack([h.T_sensor_object for h in found.hypotheses])
         truth = np.broadcast_to(np.asarray(found.touch.T_sensor_object), T.shape)
-        right = np.flatnonzero(self.metric.symmetric_distance(T, truth) <= self.radius_m)
+        right = np.flatnonzero(self.setup.metric.symmetric_distance(T, truth) <= self.radius_m)
         return int(right[0]) if len(right) else ELSEWHERE
 
 

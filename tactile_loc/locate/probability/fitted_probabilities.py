@@ -10,21 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.core.runtime.progress import Progress, StageTimes
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
+from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.noise import TouchNoise
-from tactile_loc.core.sensing.scene import Scene, View
+from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.probability import probabilities
-from tactile_loc.locate.probability.probabilities import FusedExample, FusedScaling, TemperatureScaling
+from tactile_loc.locate.probability.probabilities import (
+    AnyScalings,
+    FusedExample,
+    FusedScaling,
+    Scalings,
+    TemperatureScaling,
+)
 from tactile_loc.locate.sources.scoring import Scores
-from tactile_loc.locate.sources.source import PlaceSource, PoseSource
-from tactile_loc.locate.sources.whole_object import search_together
+from tactile_loc.locate.sources.source import PoseSource
 from tactile_loc.slots.fuser import Fuser
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 EXAMPLE_TOUCHES = 50  # simulated touches in memory at once
@@ -50,19 +53,18 @@ class Example:
 class FittedProbabilities:
     """The temperature and the tempering of fused touches of one localizer, fitted at first use.
 
-    `source` scores poses with an exact matcher. `described` returns all inputs of the scores except the touch, and
-    `drawn` describes the sampler of the simulated touches, both as JSON values. If the user gives a `temperature`,
-    nothing is fitted.
+    `source` scores poses with an exact matcher, and `simulate` draws touches with known poses. `described` returns all
+    inputs of the scores except the touch, as JSON values. If the user gives a `temperature`, nothing is fitted.
     """
 
     def __init__(
-        self, source: PoseSource, scene: Scene, fuser: Fuser, simulate: Simulate,
-        described: Callable[[], dict[str, Any]], drawn: dict[str, Any], temperature: float | None, store: StageStore,
-        progress: Progress,
-    ) -> None:  # fmt: skip
-        self.source, self.scene, self.fuser, self.simulate, self.described = source, scene, fuser, simulate, described
-        self.drawn, self.temperature, self.store, self.progress = drawn, temperature, store, progress
-        self.plan = probabilities.plan_fit(source.searched)
+        self, source: PoseSource, fuser: Fuser, simulate: Simulate, described: Callable[[], dict[str, Any]]
+    ) -> None:
+        setup = source.setup
+        self.source, self.scene, self.fuser, self.simulate = source, setup.scene, fuser, simulate
+        self.described, self.drawn = described, {"sampler": setup.sampler.describe()}
+        self.temperature, self.store, self.progress = setup.config.temperature, setup.store, setup.progress
+        self.plan = source.plan_fit()
 
     @cached_property
     def temperature_scaling(self) -> TemperatureScaling:
@@ -96,7 +98,7 @@ class FittedProbabilities:
                 scores.append(found)
                 truth.append(index)
                 advance(1)
-        fitted = probabilities.fit_temperature_scaling(scores, np.array(truth), self.source.searched)
+        fitted = probabilities.fit_temperature_scaling(scores, np.array(truth), self.plan.misses)
         work.save_json(probabilities.STAGE, asdict(fitted))
 
     def _score(self, touch: Touch) -> tuple[Scores, int]:
@@ -124,7 +126,8 @@ class FittedProbabilities:
             for example in self._examples(number, count, seed + EACH_LEVEL * place, level)
             if example.fused is not None
         ]
-        work.save_json(probabilities.FUSED_STAGE, asdict(probabilities.fit_fused_scaling(fused, self.source.searched)))
+        fitted = probabilities.fit_fused_scaling(fused, self.plan.misses)
+        work.save_json(probabilities.FUSED_STAGE, asdict(fitted))
 
     def _describe_examples(self, touches: Sequence[int], count: int, seed: int) -> dict[str, Any]:
         return {
@@ -154,23 +157,12 @@ class FittedProbabilities:
     def _fuse(self, touches: Sequence[Touch]) -> Example:
         """Fuse touches of known pose as if all had been made on one object at rest, by differently placed sensors."""
         poses = np.stack([np.asarray(touch.T_sensor_object) for touch in touches])
-        best, scaling = 1.0, self.temperature_scaling
-        if isinstance(self.source, PlaceSource) and len(touches) > 1:
-            alone, best = self._search_together(self.source, touches, poses)
-        else:
-            alone = [scaling.posterior(*scored) for scored in self.source.score(touches, StageTimes())]
-        truth = self.source.find_truth(alone[0].grid, touches[0])
-        try:
-            fused = self.fuser.fuse(alone, list(invert(poses)))
-        except GridError:
-            return Example(None, truth, best)
-        return Example(dataclasses.replace(fused, elsewhere=alone[0].elsewhere), truth, best)
-
-    def _search_together(
-        self, source: PlaceSource, touches: Sequence[Touch], poses: Poses
-    ) -> tuple[list[PosePosterior], float]:
-        """Search with all touches; return each touch's posterior and the best pose's mean imprint IoU."""
         seen_from = zip(touches, poses @ invert(poses[0]), strict=True)
         views = [View(touch, self.scene.match_touch(touch), T) for touch, T in seen_from]
-        found = search_together(views, [source.search] * len(touches), StageTimes())
-        return found.posteriors(views, [self.temperature_scaling] * len(touches), 0.0), found.best
+        unfused: Sequence[AnyScalings] = [Scalings(self.temperature_scaling, FusedScaling())] * len(touches)
+        scored = self.source.search(views, [self.source] * len(touches), unfused, StageTimes())
+        truth = self.source.find_truth(scored.alone[0].grid, touches[0])
+        fused = self.fuser.fuse(scored.alone, list(invert(poses)))
+        if isinstance(fused, NoPoseLeft):
+            return Example(None, truth, scored.best)
+        return Example(dataclasses.replace(fused, elsewhere=scored.alone[0].elsewhere), truth, scored.best)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,20 +49,25 @@ class FitPlan:
     """The simulated touches of a fit.
 
     There are `touches` single touches, shared equally among the levels of `noise`. For each number in `fused_touches`,
-    there are `fused_examples` examples of that many touches.
+    there are `fused_examples` examples of that many touches. `misses` states whether the probability that the true pose
+    is among none of the scored poses is fitted, too.
     """
 
     touches: int
     noise: tuple[TouchNoise, ...]
     fused_touches: tuple[int, ...]
     fused_examples: int
+    misses: bool
 
 
-def plan_fit(searched: bool) -> FitPlan:
-    """Return the plan for a listed grid or, with `searched`, the smaller one for a search of the whole object."""
-    if searched:
-        return FitPlan(SEARCHED, SEARCHED_NOISE, SEARCHED_TOUCHES, SEARCHED_EXAMPLES)
-    return FitPlan(TOUCHES, (TOUCH_NOISE,), FUSED_TOUCHES, FUSED_EXAMPLES)
+def plan_listed_fit() -> FitPlan:
+    """Return the plan for a listed grid."""
+    return FitPlan(TOUCHES, (TOUCH_NOISE,), FUSED_TOUCHES, FUSED_EXAMPLES, misses=False)
+
+
+def plan_search_fit() -> FitPlan:
+    """Return the smaller plan for a search of the whole object, which takes longer and may miss the true pose."""
+    return FitPlan(SEARCHED, SEARCHED_NOISE, SEARCHED_TOUCHES, SEARCHED_EXAMPLES, misses=True)
 
 
 @dataclass(frozen=True)
@@ -109,14 +114,14 @@ class TemperatureScaling:
 
 
 def fit_temperature_scaling(
-    scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64], searched: bool = False
+    scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64], misses: bool = False
 ) -> TemperatureScaling:
     """Return the scaling with the least negative log-likelihood of the true poses of T touches.
 
     `scores` has an array (N,) for each touch. `truth` (T,) are the indices of the poses nearest to the true poses, -1
-    if none is near. With `searched`, the probability that the search misses the true pose is fitted, too.
+    if none is near. With `misses`, the probability that the search misses the true pose is fitted, too.
     """
-    odds = _fit_found(np.array([max(row) for row in scores]), truth >= 0) if searched else None
+    odds = _fit_found(np.array([max(row) for row in scores]), truth >= 0) if misses else None
     spreads = np.array([np.ptp(row[np.isfinite(row)]) for row in (np.asarray(row, np.float64) for row in scores)])
     known = np.flatnonzero((truth >= 0) & (spreads > 0))
     if len(known) == 0:  # no true pose was found, or each alone, as for a sphere, so there is nothing to fit
@@ -161,6 +166,18 @@ class Scalings:
     fused_scaling: FusedScaling
 
 
+class AnyScalings(Protocol):
+    """`Scalings`, or `FittedProbabilities`, which are fitted when they are first used."""
+
+    @property
+    def temperature_scaling(self) -> TemperatureScaling:
+        """The scaling of each touch's scores."""
+
+    @property
+    def fused_scaling(self) -> FusedScaling:
+        """The tempering of several touches."""
+
+
 class FusedExample(NamedTuple):
     """Several `touches` of known pose, fused.
 
@@ -174,14 +191,14 @@ class FusedExample(NamedTuple):
     best: float = 1.0
 
 
-def fit_fused_scaling(fused: Sequence[FusedExample], searched: bool = False) -> FusedScaling:
+def fit_fused_scaling(fused: Sequence[FusedExample], misses: bool = False) -> FusedScaling:
     """Return the scaling with the least negative log-likelihood of the true poses of fused examples.
 
-    With `searched`, the probability that the search misses the true pose is fitted, too.
+    With `misses`, the probability that the search misses the true pose is fitted, too.
     """
     known = np.array([example.truth >= 0 for example in fused], bool)
     found = None
-    if searched:
+    if misses:
         explained = np.array([example.touches * example.best for example in fused])
         found = _fit_found(explained, known, min((example.touches for example in fused), default=1))
     losses = np.zeros(len(EXPONENTS))

@@ -1,50 +1,112 @@
 """Sources of candidate poses: a listed grid of poses, or a search of all places of the object.
 
-Both kinds of source score poses for touches, choose the poses to refine, and find the pose nearest to the true pose.
-The localizer treats both kinds alike.
+A source scores poses for touches, chooses the poses to refine, and finds the pose nearest to the true pose. Whether it
+lists poses or searches them is known to this package alone.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tactile_loc.core.poses.metric import PoseGrid
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.places.places import Places
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.progress import Progress, StageTimes
 from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.options import HypothesisOptions
-from tactile_loc.locate.hypotheses import choose_best_apart, propose_together, split_modes
-from tactile_loc.locate.sources.listed_model import (
-    ObjectPoseModel,
-    build_bank,
-    build_model,
-    make_encoder_key,
-    train_encoder,
-)
-from tactile_loc.locate.sources.place_banks import PlaceBanks
-from tactile_loc.locate.sources.scoring import GridScores, NewMatcher, Scores
-from tactile_loc.locate.sources.whole_object import PlaceSearch
-from tactile_loc.simulate.listed_training import ListedProblem
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.probability.probabilities import AnyScalings, FitPlan
+from tactile_loc.locate.sources.scoring import NewMatcher, Scores
 from tactile_loc.slots.encoder import Encoder
 from tactile_loc.slots.grid import GridSampler
-from tactile_loc.slots.matcher import Matcher
 from tactile_loc.store.store import StageStore
+
+Values = NDArray[np.float64]
+Rated = tuple[Poses, Values]  # poses (K, 4, 4), metres, and values (K,), the greater the better
+FindPlaces = Callable[[], Places]
+
+
+@dataclass(frozen=True, eq=False)
+class SourceSetup:
+    """What a source is made from: the object before a sensor (`scene`), the grid, the encoder, and where to store.
+
+    `find_places` returns the object's places; if it is None, they are found once and stored.
+    """
+
+    config: RunConfig
+    scene: Scene
+    sampler: GridSampler
+    encoder: Encoder
+    store: StageStore
+    progress: Progress
+    find_places: FindPlaces | None = None
+
+    @cached_property
+    def coarse_scene(self) -> Scene:
+        """The scene with the few pixels of a listed grid's contact shapes, at full press."""
+        coarse = self.scene.geometry.resize_long_side(self.config.shape_px)
+        return replace(self.scene, geometry=coarse.press(coarse.max_depth_m))
+
+    @property
+    def encoder_stages(self) -> tuple[str, ...]:
+        """The stage of the store that a trained encoder needs; empty if the encoder needs no training."""
+        return ("encoder",) if self.encoder.capabilities.needs_training else ()
+
+    @cached_property
+    def metric(self) -> PoseMetric:
+        """The distance between two poses of the object."""
+        return PoseMetric(self.scene.object)
+
+    @property
+    def mode_radius_m(self) -> float:
+        """Distance below which poses belong to one mode, metres."""
+        spacing_mm: float = self.sampler.options.spacing_mm
+        return self.config.hypotheses.mode_radius * spacing_mm * 1e-3
+
+    @property
+    def merge_radius_m(self) -> float:
+        """Distance below which refined poses count as one hypothesis, metres."""
+        return self.config.hypotheses.merge_radius * self.mode_radius_m
+
+    @property
+    def start_radius_m(self) -> float:
+        """Least distance between poses to refine, metres."""
+        return self.config.hypotheses.start_radius * self.mode_radius_m
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """Each touch's own posterior, over poses in the frame of its own sensor.
+
+    If all touches were searched together, `best`, 0 to 1, is the greatest mean imprint IoU of any pose, and `matched`
+    are the rotated places most similar to each touch, with their scores. Otherwise, `best` is 1.
+    """
+
+    alone: Sequence[PosePosterior]
+    best: float = 1.0
+    matched: Sequence[Rated] = ()
 
 
 class PoseSource(ABC):
-    """Scores poses for touches of one object by one sensor.
+    """Scores poses for touches of one object by one sensor."""
 
-    If `searched` is true, only the likeliest poses are scored, so the true pose may be missing.
-    """
+    def __init__(self, setup: SourceSetup, new_matcher: NewMatcher) -> None:
+        self.setup, self.new_matcher = setup, new_matcher
 
-    searched: bool
+    @property
+    @abstractmethod
+    def stages(self) -> tuple[str, ...]:
+        """The stages of the store that the source builds, the first ones first."""
 
     @property
     @abstractmethod
@@ -61,136 +123,96 @@ class PoseSource(ABC):
         `times`.
         """
 
+    def search(
+        self, views: Sequence[View], sources: Sequence[PoseSource], scalings: Sequence[AnyScalings], times: StageTimes,
+        prior: Prior | None = None,
+    ) -> Scored:  # fmt: skip
+        """Return the posteriors of one touch, or of several touches of one object.
+
+        `sources` and `scalings` are those of each touch's sensor, this source first. The `prior` is over poses in the
+        first touch's sensor frame. Adds stage durations to `times`. Raises ConfigError if some sources list poses and
+        others search them.
+        """
+        require_one_kind(sources)
+        alone = []
+        for view, source, scaling in zip(views, sources, scalings, strict=True):
+            fitted = scaling.temperature_scaling  # fitted first, with its own progress
+            ((grid, scores),) = source.score([view.touch], times, prior)
+            alone.append(fitted.posterior(grid, scores))
+        return Scored(alone)
+
     @abstractmethod
     def propose(
-        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int
+        self, views: Sequence[View], scored: Scored, fused: PosePosterior, prior: Prior | None, top: int
     ) -> list[Mode]:
         """Return the modes of the `fused` posterior to refine, at least `top` if there are that many.
 
-        `alone` are the touches' own posteriors.
+        The `prior` is over poses in the first touch's sensor frame.
         """
+
+    @abstractmethod
+    def list_starts_alone(self, view: View, scored: Scored, number: int, times: StageTimes) -> tuple[PoseGrid, Values]:
+        """Return poses to refine against one touch alone, and their values (K,); greater ones are better.
+
+        `view` is the touch's own view, and `number` its number in `scored`.
+        """
+
+    def keep_promising(
+        self, modes: Sequence[Mode], imprint_ious: NDArray[np.float64], trusted: Sequence[View], times: StageTimes
+    ) -> Sequence[Mode]:
+        """Return the modes worth refining against `trusted` touches, given their coarse mean imprint IoUs (K,)."""
+        return modes
 
     @abstractmethod
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
         """Return the index of the grid pose nearest to a touch's true pose; -1 if the search found none near it."""
 
     @abstractmethod
+    def plan_fit(self) -> FitPlan:
+        """Return the plan of the simulated touches to which probabilities are fitted."""
+
+    @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """Return all inputs of the scores except the encoder, the sensor and the touch, as JSON values."""
+        """Return all inputs of the scores except the sensor and the touch, as JSON values; trains the encoder."""
 
+    @abstractmethod
+    def prepare(self, press_depth_m: float) -> None:
+        """Build or load what a touch of this press depth, metres, needs."""
 
-class PlaceSource(PoseSource):
-    """Poses from a search of all places of the object."""
-
-    searched = True
-
-    def __init__(
-        self, search: PlaceSearch, banks: PlaceBanks, options: HypothesisOptions, mode_radius_m: float
-    ) -> None:
-        self.search, self.banks, self.options, self.mode_radius_m = search, banks, options, mode_radius_m
+    @abstractmethod
+    def count_poses(self) -> dict[str, Any]:
+        """Return the size of the source, as JSON values in SI units."""
 
     @property
-    def trained(self) -> str:
-        """The digest of the encoder's weights, trained now or stored; empty if the encoder needs no training."""
-        return self.banks.trained
+    def nbytes(self) -> int:
+        """The memory, bytes, that freeing the source frees."""
+        return 0
 
-    def score(
-        self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
-    ) -> list[tuple[PoseGrid, Scores]]:
-        """Search the whole object for each touch; return the likeliest poses and their imprint IoUs."""
-        return [self.search.score(touch, times, prior) for touch in touches]
+    @property
+    def places(self) -> Places:
+        """The places that are searched. Raises ConfigError if poses are listed."""
+        raise self._refuse("lists the poses of {}, but this needs a search of its places; choose `grid` whole")
 
-    def propose(
-        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int
-    ) -> list[Mode]:
-        """Return the most probable poses that are far enough apart.
+    @property
+    def listed(self) -> Any:
+        """The listed grid. Raises ConfigError if the source lists no poses."""
+        raise self._refuse(
+            "does not list the poses of {}, which this command or encoder needs; choose `grid` face or `grid` hopf"
+        )
 
-        The number of poses is at most the greatest of `top`, the option `refined` and a tenth of all poses.
-        """
-        count = max(top, self.options.refined, len(fused.grid) // 10)
-        return choose_best_apart(fused, self.options.start_radius * self.mode_radius_m, count)
+    def fit_roughly(self, views: Sequence[View], poses: Poses, count: int) -> tuple[float, float]:
+        """Fit the object roughly to touches, as `WholeObjectSource` does. Raises ConfigError if poses are listed."""
+        _ = self.places
+        raise NotImplementedError
 
-    def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the grid pose nearest to a touch's true pose; -1 if the search found none near it."""
-        (distance_m,), (index,) = grid.nearest(np.asarray(touch.T_sensor_object)[None])
-        return -1 if distance_m > self.search.found_m else int(index)
-
-    def describe(self) -> dict[str, Any]:
-        """Return all inputs of the scores except sensor and touch, as JSON values; trains the encoder if necessary."""
-        return {**self.search.describe(), "trained": self.trained}
+    def _refuse(self, reason: str) -> ConfigError:
+        return ConfigError(f"the grid {self.setup.config.grid.name!r} {reason.format(self.setup.scene.object.name)}")
 
 
-class GridSource(PoseSource):
-    """Poses listed by a grid, whose contact shapes are rendered and encoded only once."""
-
-    searched = False
-
-    def __init__(
-        self, sampler: GridSampler, scene: Scene, encoder: Encoder, new_matcher: NewMatcher, store: StageStore,
-        progress: Progress, options: HypothesisOptions, mode_radius_m: float,
-    ) -> None:  # fmt: skip
-        """`scene` has the grid's image size and full press."""
-        self.sampler, self.scene, self.encoder, self.new_matcher = sampler, scene, encoder, new_matcher
-        self.store, self.progress, self.options, self.mode_radius_m = store, progress, options, mode_radius_m
-
-    @cached_property
-    def model(self) -> ObjectPoseModel:
-        """The object's grid and contact shapes, stored or built now."""
-        return build_model(self.scene, self.sampler, self.store, self.progress)
-
-    @cached_property
-    def trained(self) -> str:
-        """The digest of the encoder's weights, trained now or stored; empty if the encoder needs no training."""
-        if not self.encoder.capabilities.needs_training:
-            return ""
-        model, scene, sampler = self.model, self.scene, self.sampler
-        return train_encoder(
-            self.encoder, make_encoder_key(model.key, self.encoder, sampler),
-            lambda kept: ListedProblem(model.grid, scene, sampler, model.shapes.shards, self.progress, kept),
-            self.store, scene.object.name,
-        )  # fmt: skip
-
-    @cached_property
-    def banks(self) -> GridScores:
-        """The comparison of touches with the grid's banks; each bank is built at first use, or loaded if stored."""
-        return GridScores(self.encoder, self.new_matcher, self._bank, self.scene.geometry.max_depth_m)
-
-    def _bank(self, press_depth_m: float) -> Scores:
-        return build_bank(
-            self.model, self.scene, self.encoder, press_depth_m, self.store, self.progress, self.trained
-        )  # fmt: skip
-
-    def matcher(self, press_depth_m: float) -> Matcher:
-        """Return the matcher whose bank is cut at this press depth (metres), built at first use."""
-        return self.banks.matcher(press_depth_m)
-
-    def press_grid(self, touch: Touch) -> PoseGrid:
-        """Return the grid's poses, in metres, at the touch's indentation."""
-        return self.model.grid.raise_level(self.scene.geometry.max_depth_m - touch.indentation_m)
-
-    def score(
-        self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
-    ) -> list[tuple[PoseGrid, Scores]]:
-        """Match each touch with all poses of the grid."""
-        scores = self.banks.scores(touches, times)
-        return list(zip(map(self.press_grid, touches), scores, strict=True))
-
-    def propose(
-        self, views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, top: int
-    ) -> list[Mode]:
-        """Return the modes of the fused posterior; for several touches, the poses that explain all of them best.
-
-        The modes of one touch are split, because the poses of one mode may end in several poses when refined.
-        """
-        radius_m = self.options.start_radius * self.mode_radius_m
-        if len(views) > 1:
-            return propose_together(views, alone, fused, radius_m, self.options)
-        return split_modes(fused, fused.modes(self.mode_radius_m, top), radius_m, max(top, self.options.refined))
-
-    def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the grid pose nearest to a touch's true pose."""
-        return int(grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0])
-
-    def describe(self) -> dict[str, Any]:
-        """Return all inputs of the scores except sensor and touch, as JSON values; trains the encoder if necessary."""
-        return {"model": self.model.key.digest, "trained": self.trained}
+def require_one_kind(sources: Sequence[PoseSource]) -> None:
+    """Raise ConfigError if some sources list poses and others search them."""
+    if len({type(source) for source in sources}) > 1:
+        raise ConfigError(
+            "some localizers search the whole object and others a grid of listed poses; give all of them the grid "
+            "whole, or none"
+        )

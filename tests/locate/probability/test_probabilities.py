@@ -127,12 +127,12 @@ def test_the_fit_finds_the_probability_of_elsewhere_from_the_best_score():
     explained = rng.random(3000)
     truth = np.where(rng.random(3000) < 1 / (1 + np.exp(4 - 8 * explained)), 0, -1)
     fused = [FusedExample(3, np.log([0.7, 0.3]), int(t), float(b)) for t, b in zip(truth, explained, strict=True)]
-    fitted = fit_fused_scaling(fused, searched=True)
+    fitted = fit_fused_scaling(fused, misses=True)
     for best in (0.1, 0.5, 0.9):
         assert fitted.elsewhere(best, 3) == pytest.approx(1 / (1 + np.exp(8 * best - 4)), abs=0.04)
     always = [example for example in fused if example.truth >= 0]
     assert fit_fused_scaling(always).elsewhere(0.0, 3) == 0, "a grid that lists all poses has no elsewhere"
-    few = fit_fused_scaling([FusedExample(3, np.log([0.7, 0.3]), 0, 0.9)] * 5, searched=True)
+    few = fit_fused_scaling([FusedExample(3, np.log([0.7, 0.3]), 0, 0.9)] * 5, misses=True)
     assert few.elsewhere(0.95, 3) < 0.15
     assert few.elsewhere(0.0, 3) > 0.4, "a low score means elsewhere, although no example was missed"
 
@@ -146,7 +146,7 @@ def test_more_touches_explained_equally_well_are_more_surely_found():
         FusedExample(int(n), np.log([0.7, 0.3]), int(t), float(b))
         for n, t, b in zip(touches, truth, explained, strict=True)
     ]
-    fitted = fit_fused_scaling(fused, searched=True)
+    fitted = fit_fused_scaling(fused, misses=True)
     assert fitted.elsewhere(0.3, 2) > 0.9
     assert fitted.elsewhere(0.3, 5) < 0.1
 

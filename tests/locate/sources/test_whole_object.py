@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -20,11 +21,11 @@ from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig, SlotConfig
-from tactile_loc.locate import outliers as agreement
-from tactile_loc.locate.localizer import Localizer, localize_together, make_view
+from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.sources import whole_object as search_module
-from tactile_loc.locate.sources.whole_object import PlaceSearch, find_highest, search_together
+from tactile_loc.locate.sources.place_search import PlaceSearch, find_highest
+from tactile_loc.locate.sources.whole_object import search_together
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
@@ -38,8 +39,7 @@ def localizer(store) -> Localizer:
 
 @pytest.fixture(scope="module")
 def search(localizer) -> PlaceSearch:
-    assert localizer.search is not None
-    return localizer.search
+    return localizer.source.place_search
 
 
 @pytest.fixture(scope="module")
@@ -104,12 +104,11 @@ def test_places_are_built_once(tmp_path, monkeypatch):
 
     few = {**WHOLE, "grid": {"name": "whole", "directions": 100}}
     first = Localizer.create("pin", store=StageStore(tmp_path), **few)
-    assert first.search is not None
+    found = first.source.places
     monkeypatch.setattr(WholeGrid, "places", None)  # the sampler is not used again
     again = Localizer.create("pin", store=StageStore(tmp_path), **{**few, "sensor": "gelslim"})
-    assert again.search is not None
-    assert np.array_equal(first.search.places.patches, again.search.places.patches)
-    assert again.search.key.digest == first.search.key.digest
+    assert np.array_equal(found.patches, again.source.places.patches)
+    assert again.source.place_search.key.digest == first.source.place_search.key.digest
 
 
 def test_a_touch_that_no_pose_explains_is_elsewhere(localizer, examples):
@@ -124,13 +123,10 @@ def test_a_touch_that_no_pose_explains_is_elsewhere(localizer, examples):
         assert posterior.probabilities.sum() + posterior.elsewhere == pytest.approx(1)
 
 
-def together(localizer: Localizer, some: list[Touch]) -> list[PosePosterior]:
-    seen_from = [np.linalg.inv(np.asarray(t.T_base_sensor)) @ np.asarray(some[0].T_base_sensor) for t in some]
-    views = [View(t, localizer.scene.match_touch(t), T) for t, T in zip(some, seen_from, strict=True)]
-    found = search_together(views, [localizer.search] * len(some), StageTimes())
-    fitted = localizer.probabilities
-    elsewhere = fitted.fused_scaling.elsewhere(found.best, len(some))
-    return found.posteriors(views, [fitted.temperature_scaling] * len(some), elsewhere)
+def together(localizer: Localizer, some: list[Touch]) -> Sequence[PosePosterior]:
+    number = len(some)
+    views, sources = localizer.make_views(some), [localizer.source] * number
+    return localizer.source.search(views, sources, [localizer.probabilities] * number, StageTimes()).alone
 
 
 def test_several_touches_are_compared_at_the_same_poses(localizer, examples):
@@ -153,7 +149,7 @@ def test_poses_that_start_beside_the_true_pose_are_found_if_they_are_moved_first
     found = []
     for count in (1, 200):
         few = {"registered_together": 1, "moved_together": count, "wide_below_iou": 0.0}
-        search = Localizer.create("pin", store=store, search=few, **WHOLE).search
+        search = Localizer.create("pin", store=store, search=few, **WHOLE).source.place_search
         nearest = [off_mm(localizer, search_pair(localizer, search, pair), pair[0]).min() for pair in pairs]
         found.append(np.mean(np.array(nearest) < 1.0))
     assert found[1] > found[0] + 0.1
@@ -168,17 +164,19 @@ def misplace(touches: list[Touch], number: int) -> list[Touch]:
 
 def test_batches_find_what_registering_all_poses_at_once_finds(localizer, examples, store):
     at_once = {"moved_together": 400, "registered_together": 400, "registered_widely": 400}
-    full = Localizer.create("pin", store=store, search=at_once, **WHOLE).search
+    full = Localizer.create("pin", store=store, search=at_once, **WHOLE).source.place_search
     for some in examples[:2]:
-        views = [make_view(some[0], localizer, touch) for touch in misplace(some, 2)]
-        batches, everything = (search_together(views, [one] * 3, StageTimes()) for one in (localizer.search, full))
+        views = localizer.make_views(misplace(some, 2))
+        batches, everything = (
+            search_together(views, [one] * 3, StageTimes()) for one in (localizer.source.place_search, full)
+        )
         assert len(batches.T_first_object) < len(everything.T_first_object)
-        assert batches.best > everything.best - 0.03
+        assert batches.ious.mean(axis=1).max() > everything.ious.mean(axis=1).max() - 0.03
 
 
 def test_no_further_batch_follows_one_without_a_better_pose(localizer, examples, monkeypatch):
     some = misplace(examples[0], 2)
-    views, given = [make_view(some[0], localizer, touch) for touch in some], []
+    views, given = localizer.make_views(some), []
     register = search_module._register
 
     def note(views, search, poses, kept=None):
@@ -187,7 +185,7 @@ def test_no_further_batch_follows_one_without_a_better_pose(localizer, examples,
         return found
 
     monkeypatch.setattr(search_module, "_register", note)
-    search_together(views, [localizer.search] * 3, StageTimes())
+    search_together(views, [localizer.source.place_search] * 3, StageTimes())
     counts, best = zip(*given, strict=True)
     assert set(counts) == {localizer.config.search.moved_together}
     assert len(counts) < localizer.config.search.registered_widely / localizer.config.search.moved_together
@@ -198,8 +196,8 @@ def test_no_further_batch_follows_one_without_a_better_pose(localizer, examples,
 @pytest.mark.parametrize("wrong", [0, 2])
 def test_trials_that_end_early_change_no_result(localizer, examples, monkeypatch, wrong):
     found = []
-    for unpromising in (0.0, agreement.UNPROMISING):
-        monkeypatch.setattr(agreement, "UNPROMISING", unpromising)
+    for unpromising in (0.0, search_module.UNPROMISING):
+        monkeypatch.setattr(search_module, "UNPROMISING", unpromising)
         some = [misplace(one, wrong) for one in examples[:2]]
         found.append([localize_together([(localizer, touch) for touch in touches]) for touches in some])
     for slow, fast in zip(*found, strict=True):
@@ -210,19 +208,19 @@ def test_trials_that_end_early_change_no_result(localizer, examples, monkeypatch
 
 
 def search_pair(localizer: Localizer, search: PlaceSearch, pair: list[Touch]) -> np.ndarray:
-    views = [make_view(pair[0], localizer, touch) for touch in pair]
+    views = localizer.make_views(pair)
     return search_together(views, [search] * 2, StageTimes()).T_first_object
 
 
 def test_a_pose_far_from_many_nearer_ones_is_registered_to_several_touches(localizer, search, examples):
     some = examples[0]
-    views = [make_view(some[0], localizer, touch) for touch in some]
+    views = localizer.make_views(some)
     steps_m = 1.6e-3 * np.arange(-3, 4)  # poses as far apart as the search keeps them
     shifts_m = np.stack(np.meshgrid(steps_m, steps_m, steps_m), axis=-1).reshape(-1, 3)
     beside = np.stack([make_translation(shift_m) for shift_m in shifts_m]) @ np.asarray(some[0].T_sensor_object)
     far = make_translation([0.0, 0.02, 0.0]) @ np.asarray(some[0].T_sensor_object)
     poses, moved = np.concatenate([beside, far[None]]), search.options.moved_together
-    assert search_module.estimate_gaps(views, poses).argmax() == len(poses) - 1
+    assert search_module.estimate_surface_distances(views, poses).argmax() == len(poses) - 1
     ranks = []
     for spread in (moved // 2, 0):
         kept = search_module._keep_nearest(views, search, poses, spread, len(poses))
@@ -312,7 +310,7 @@ def test_a_trainable_encoder_trains_once_and_keeps_its_banks(tmp_path, monkeypat
 @pytest.mark.parametrize("options", [{}, {"kind": "ivf"}, {"kind": "hnsw"}], ids=str)
 def test_faiss_finds_the_rotated_places_that_dense_finds(localizer, search, examples, options):
     pytest.importorskip("faiss")
-    other = Localizer(with_faiss(localizer.config, **options), localizer.object, localizer.store).search
+    other = Localizer(with_faiss(localizer.config, **options), localizer.object, localizer.store).source.place_search
     assert other is not None
     for touch in examples[0]:
         exact, found = (one.alike(touch, 1000) for one in (search, other))
@@ -331,7 +329,7 @@ def test_faiss_locates_the_touches_that_dense_locates(localizer, examples):
 
 def test_a_top_k_matcher_proposes_only_the_poses_that_it_scores(localizer, examples):
     pytest.importorskip("faiss")
-    few = Localizer(with_faiss(localizer.config, top_k=3), localizer.object, localizer.store).search
+    few = Localizer(with_faiss(localizer.config, top_k=3), localizer.object, localizer.store).source.place_search
     assert few is not None
     poses, scores = few.alike(examples[0][0], 1000)
     assert len(poses) == len(scores) == 3 * len(few.yaws_rad)

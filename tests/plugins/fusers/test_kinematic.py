@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from message_helpers import naming
+from message_helpers import missing, naming
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.runtime.errors import ConfigError, GridError
+from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
 
@@ -41,9 +41,10 @@ def test_the_kinematic_fuser_excludes_the_same_poses_as_the_product(box):
     assert supports[0] == supports[1]
 
 
-def test_a_missing_common_pose_and_unknown_sensor_poses_are_errors(box):
+def test_without_a_common_pose_none_is_left_and_unknown_sensor_poses_are_refused(box):
     touches = [line(box, [0, 1], [0, 0]), line(box, [30, 31], [0, 0], 1)]
-    with pytest.raises(GridError, match=naming("touch 2", "T_base_sensor")):
-        KinematicFuser().fuse(touches, T_BASE)
+    left = KinematicFuser().fuse(touches, T_BASE)
+    assert isinstance(left, NoPoseLeft)
+    assert not missing(left.reason, "touch 2", "T_base_sensor")
     with pytest.raises(ConfigError, match=naming("touch 2", "T_base_sensor")):
         KinematicFuser().fuse(touches, [np.eye(4), None])

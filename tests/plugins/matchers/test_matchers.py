@@ -9,7 +9,7 @@ from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.sources.listed_model import build_bank, build_model
+from tactile_loc.locate.sources.listed_grid import build_bank, build_model
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.matchers.dense import DenseMatcher
@@ -38,9 +38,12 @@ def weighted_brute_force(queries: np.ndarray, bank: np.ndarray, weights: np.ndar
 def place_bank(store) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A touch of the whole pin rotated by every third degree, its known pixels, and the bank of the pin's places."""
     localizer = Localizer.create("pin", store=store, grid="whole", sensor="gelsight-mini")
-    assert localizer.search is not None
     (touch,) = localizer.simulate(1, seed=3, noise="strong")
-    places, yaws_rad, press_m = localizer.search.places, localizer.search.yaws_rad, touch.press_depth_m
+    places, yaws_rad, press_m = (
+        localizer.source.place_search.places,
+        localizer.source.place_search.yaws_rad,
+        touch.press_depth_m,
+    )
     depths_m, seen = rotate_patches(touch, *find_anchor(touch), yaws_rad)
     queries, weights = localizer.encoder.encode_seen(depths_m, seen, press_m, CAMERA)
     assert 0.2 < weights.mean() < 0.8

@@ -1,0 +1,94 @@
+"""The pipeline from touches to poses: search, fuse, propose, refine, compare, weigh and merge."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.poses.posterior import Mode, NoPoseLeft, PosePosterior
+from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.registration.prior_factors import fit_pulls
+from tactile_loc.locate.hypotheses import compare, count_touches_with_depths, merge_hypotheses, weigh
+from tactile_loc.locate.method import LocatingMethod, Query
+from tactile_loc.locate.probability.conformal import PoseSet
+from tactile_loc.locate.probability.conformal_fit import rank
+from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
+from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.sources.source import Scored
+
+UNEXPECTED = 15.0  # nats below the peak of a prior beyond which a pose contradicts the prior; 5.5 standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What the pipeline found: each touch's posterior, the fused one, the proposed modes, and what became of them."""
+
+    scored: Scored
+    posterior: PosePosterior
+    modes: Sequence[Mode]
+    hypotheses: tuple[Hypothesis, ...]
+
+
+def localize(query: Query, method: LocatingMethod, scored: Scored | None = None) -> Solution | NoPoseLeft:
+    """Find poses that explain the touches of a query. `scored` are the touches' posteriors if they are known."""
+    scored = scored or method.search(query)
+    posterior = method.fuse(scored, query)
+    if isinstance(posterior, NoPoseLeft):
+        return posterior
+    modes = method.propose(scored, posterior, query)
+    return Solution(scored, posterior, modes, explain(query, method, modes))
+
+
+def explain(
+    query: Query, method: LocatingMethod, modes: Sequence[Mode], outliers: Collection[int] = ()
+) -> tuple[Hypothesis, ...]:
+    """Refine modes to the touches, weigh them by how well they explain the touches, and merge equal poses.
+
+    The touches with the numbers `outliers` affect neither the poses nor the probabilities.
+    """
+    trusted = [view for k, view in enumerate(query.views) if k not in outliers]
+    prior, metric = method.temper_prior(query), method.metric
+    with query.times.stage("refine"):
+        refined = method.refinement.refine_modes(trusted, modes, prior)
+    with query.times.stage("choose"):
+        compared = compare(query.views, refined, outliers)
+        weighed = weigh(compared, count_touches_with_depths(trusted), metric, prior)
+        return merge_hypotheses(weighed, metric, method.source.setup.merge_radius_m)
+
+
+def conclude(
+    query: Query, method: LocatingMethod, posterior: PosePosterior, hypotheses: tuple[Hypothesis, ...],
+    agreement: Agreement,
+) -> Localization:  # fmt: skip
+    """Make the result: choose the hypotheses to list, and add their covariances."""
+    touch, *others = query.touches
+    middle_m, prior = method.source.setup.scene.object.mesh.centroid_m, method.temper_prior(query)
+    found = Localization(
+        touch, posterior, hypotheses, query.times.seconds, tuple(others), agreement=agreement, config=method.config,
+        unexpected=is_unexpected(prior, hypotheses[0].T_sensor_object, middle_m),
+    )  # fmt: skip
+    pose_set = None
+    if query.coverage is not None:
+        probability, sets = query.coverage
+        pose_set = PoseSet.of(rank(found), sets, probability, agreement.contradictory)
+    with query.times.stage("choose"):
+        kept = hypotheses[: query.top if pose_set is None else pose_set.poses]
+        listed = method.refinement.add_covariances(query.views, kept)
+    placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
+    return replace(found, hypotheses=placed, unlisted=hypotheses[len(placed) :], pose_set=pose_set)
+
+
+def is_unexpected(prior: Prior | None, T: Poses, middle_m: NDArray[np.float64]) -> bool:
+    """Return whether a prior makes the pose T (4, 4), metres, very improbable, so that touches and prior disagree.
+
+    The pose is compared with the peak of the prior that is nearest to it. `middle_m` (3,), metres, is the centre of the
+    object. A pose where the prior is flat, such as outside the kernels of an earlier posterior, is not unexpected.
+    """
+    if prior is None:
+        return False
+    peak = fit_pulls(prior, T[None], middle_m).T
+    return bool(prior(peak)[0] - prior(T[None])[0] > UNEXPECTED)
