@@ -21,13 +21,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from tactile_loc_app.pictures import paint_wide
+from tactile_loc_app.scene_view import SceneView
+from tactile_loc_app.server import require_viser
+from tactile_loc_app.session import Session, place_above
+from tactile_loc_app.shared_localizers import SharedLocalizers
+from tactile_loc_app.virtual_finger import Pose
 
-from tactile_loc.app.pictures import paint_wide
-from tactile_loc.app.scene_view import SceneView
-from tactile_loc.app.server import require_viser
-from tactile_loc.app.session import Session, place_above
-from tactile_loc.app.shared_localizers import SharedLocalizers
-from tactile_loc.app.virtual_finger import Pose
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.io.config import ObjectConfig, SlotConfig

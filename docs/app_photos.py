@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from tactile_loc_app.session import LIST, Session
 
-from tactile_loc.app.session import LIST, Session
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import encode_png
 from tactile_loc.io.sensor_files import write_sensor_file

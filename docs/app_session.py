@@ -21,11 +21,11 @@ import numpy as np
 from app_photos import BALL_MM, BALLS, MM_PER_PX, PHOTOS, photograph_balls, photograph_part
 from browser import open_browser
 from numpy.typing import NDArray
+from tactile_loc_app.panels import ARCHIVE, Page
+from tactile_loc_app.scene_view import UNITS_PER_M, from_view
+from tactile_loc_app.server import AppServer
+from tactile_loc_app.session import list_poses
 
-from tactile_loc.app.panels import ARCHIVE, Page
-from tactile_loc.app.scene_view import UNITS_PER_M, from_view
-from tactile_loc.app.server import AppServer
-from tactile_loc.app.session import list_poses
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.store.store import StageStore

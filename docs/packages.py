@@ -33,7 +33,7 @@ LAYERS: tuple[dict[str, float], ...] = (
     {"tasks": 3.6, "view": 2},
     {"evaluation": 2.8, "testing": 4.6},
     {"reports": 3.2},
-    {"tactile_loc": 0.4, "app": 3.6},
+    {"tactile_loc": 0.4},
     {"benchmarks": 0, "cli": 2, "docs": 4},
     {"commands": 2},
 )

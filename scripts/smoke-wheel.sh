@@ -55,18 +55,25 @@ run run --out result
 ../venv/bin/python -m json.tool result/result.json /dev/null || give_up "result.json is not JSON"
 [ -s result/result.png ] || give_up "tactile-loc run drew no result.png"
 
-# Without an extra, a command must end with exit code 2 and the line that installs it.
-needs() {
-    extra=$1
+# Without a library or a package, a command must end with exit code 2 and the words that install it.
+refuses() {
+    words=$1
     shift
-    say "tactile-loc $* (without the extra $extra)"
+    say "tactile-loc $* (without: $words)"
     code=0
     ../venv/bin/tactile-loc "$@" >needs.log 2>&1 || code=$?
-    grep -qF "pip install 'tactile-loc[$extra]'" needs.log && [ "$code" = 2 ] ||
-        give_up "tactile-loc $* ended with exit code $code and does not name the extra $extra: $(cat needs.log)"
+    grep -qF "pip install $words" needs.log && [ "$code" = 2 ] ||
+        give_up "tactile-loc $* ended with exit code $code and does not name $words: $(cat needs.log)"
 }
+needs() { # an extra, and a command that needs it
+    extra=$1
+    shift
+    refuses "'tactile-loc[$extra]'" "$@"
+}
+annex() { refuses "./plugins_contrib/tactile-loc-$1" "$1"; } # a command of a package in plugins_contrib
 touch empty.mcap empty.mp4 empty.step empty.stl
-needs app app
+annex app
+annex benchmark
 needs camera live --camera 0 --object hook --port 0
 needs clearance next-touch result --around 3 --finger 32x28x24mm --out refused
 needs kiss run --refiner kiss-icp --out refused

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tactile_loc_app.session import Session, place_above
+from tactile_loc_app.shared_localizers import SharedLocalizers
 
-from tactile_loc.app.session import Session, place_above
-from tactile_loc.app.shared_localizers import SharedLocalizers
 from tactile_loc.io.config import ObjectConfig, SlotConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.store.store import StageStore

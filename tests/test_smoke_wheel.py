@@ -29,7 +29,7 @@ COMMAND = """\
 #!/bin/sh
 echo "$PWD: tactile-loc $*" >> "{log}"
 refuse() {{
-    echo "error: pip install 'tactile-loc[$1]'" >&2
+    echo "error: pip install 'tactile-loc[$1]' or pip install ./plugins_contrib/tactile-loc-$1" >&2
     exit {refusal}
 }}
 case "$*" in

@@ -21,7 +21,6 @@ COMMANDS = (
     ("objects", "commands.plugins:objects", "List the demo objects."),
     ("plugins", "commands.plugins:plugins", "List components and their options, or check one."),
     ("new-plugin", "scaffold.command:new_plugin", "Write a package for a new component."),
-    ("app", "commands.app:app", "Press a virtual finger on an object, and locate it, on a local web page."),
     ("doctor", "doctor.command:doctor", "Check the installation."),
     ("library", "commands.library:application", "Build, change or check a library of parts."),
     ("store", "commands.store:application", "List, measure or prune the built models."),

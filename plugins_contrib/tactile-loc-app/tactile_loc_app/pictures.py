@@ -1,0 +1,39 @@
+"""Pictures of contact shapes as arrays, drawn fast enough to follow a moving finger."""
+
+from __future__ import annotations
+
+import numpy as np
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.io.shape_pictures import Picture, paint_shape
+
+WIDE_PX, GAP_PX = 288, 12  # long side of one picture, and the gap between two
+EMPTY = np.full((96, 96, 3), 236, np.uint8)
+
+
+def paint_wide(shape: ContactShape, geometry: SensorGeometry) -> Picture:
+    """Return a picture (H, W, 3) of a contact shape whose long side has about WIDE_PX pixels."""
+    step = max(1, round(max(shape.depth_m.shape) / WIDE_PX))
+    picture = paint_shape(shape.subsample(step), geometry.subsample(step))
+    grown = max(1, WIDE_PX // max(picture.shape[:2]))
+    return picture.repeat(grown, axis=0).repeat(grown, axis=1)
+
+
+def paint_photo(photo: Picture, size_px: tuple[int, int]) -> Picture:
+    """Return a photo (H, W, 3) with a number of rows and columns, by its nearest pixels."""
+    rows, columns = (np.arange(n) * length // n for n, length in zip(size_px, photo.shape, strict=False))
+    return photo[rows[:, None], columns[None]]
+
+
+def paint_beside(left: Picture, right: Picture) -> Picture:
+    """Return two pictures (H, W, 3) of one size side by side."""
+    gap = np.full((left.shape[0], GAP_PX, 3), 255, np.uint8)
+    return np.concatenate([left, gap, right], axis=1)
+
+
+def colour_probability(probability: float, most: float) -> tuple[int, int, int]:
+    """Return the colour of a pose: yellow and orange if probable, violet if not. `most` is the largest probability."""
+    from matplotlib import colormaps
+
+    red, green, blue, _ = colormaps["plasma"](0.1 + 0.75 * probability / max(most, 1e-12), bytes=True)
+    return int(red), int(green), int(blue)

@@ -1,0 +1,114 @@
+"""The server of the page, on viser: each visitor has a session, and all sessions share localizers."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+import time
+from contextlib import redirect_stdout, suppress
+from pathlib import Path
+from threading import Lock
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc.reports.access import EVERYWHERE, Access
+from tactile_loc.store.store import StageStore
+
+from tactile_loc_app.guarded_viser import require_viser, start_viser
+from tactile_loc_app.session import Session
+from tactile_loc_app.shared_localizers import SharedLocalizers
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+    from tactile_loc_app.panels import Page
+
+HOST, PORT = "127.0.0.1", 8080
+
+
+class AppServer:
+    """Serves the page until it is closed. `pages` are those of the visitors, by viser's number of the client.
+
+    Each visitor's files are kept in a temporary folder, which is removed when the visitor leaves. Raises
+    TactileLocError if the object or the sensor cannot be used, ConfigError for a wrong host or port, and
+    MissingLibraryError without viser.
+    """
+
+    def __init__(
+        self, chosen: ObjectConfig | None = None, sensor: SlotConfig | None = None, host: str = HOST, port: int = PORT,
+        store: StageStore | None = None,
+    ) -> None:  # fmt: skip
+        require_viser()
+        if not 0 <= port <= 65535:
+            raise ConfigError(f"the port cannot be {port}; give a number from 0 to 65535")
+        self._folder = tempfile.TemporaryDirectory(prefix="tactile-loc-app-", ignore_cleanup_errors=True)
+        self.access = Access.at(host)
+        self.localizers = SharedLocalizers(Path(self._folder.name), store)
+        self.chosen, self.sensor = chosen, sensor
+        self.pages: dict[int, Page] = {}
+        self._lock = Lock()
+        self.new_session().close()  # raises here, not when the first visitor comes
+        self._server = start_viser(host, port, self.access)
+        self._server.on_client_connect(self._welcome)
+        self._server.on_client_disconnect(self._leave)
+
+    @property
+    def url(self) -> str:
+        """The address of the page, with its token if other machines reach it."""
+        return self.access.write_url(self._server.get_host(), self._server.get_port())
+
+    @property
+    def is_open(self) -> bool:
+        """Whether other machines reach the page, under each of this machine's names."""
+        return self._server.get_host() in EVERYWHERE
+
+    def new_session(self) -> Session:
+        """Return the session of a new visitor."""
+        return Session(self.localizers, self.chosen, self.sensor)
+
+    def _welcome(self, client: ClientHandle) -> None:
+        from tactile_loc_app.panels import Page
+
+        if not self._is_here(client):
+            return
+        page = Page(client, self.new_session())
+        with self._lock:
+            self.pages[client.client_id] = page
+        if not self._is_here(client):  # left meanwhile, and maybe before the page was known
+            self._leave(client)
+
+    def _is_here(self, client: ClientHandle) -> bool:
+        return client.client_id in self._server.get_clients()
+
+    def _leave(self, client: ClientHandle) -> None:
+        with self._lock:
+            page = self.pages.pop(client.client_id, None)
+        if page is not None:
+            page.close()
+
+    def serve(self) -> None:
+        """Serve the page until Ctrl-C."""
+        with suppress(KeyboardInterrupt):
+            while True:
+                time.sleep(3600)
+
+    def close(self) -> None:
+        """End the server, and remove the uploaded files."""
+        with redirect_stdout(io.StringIO()):  # viser prints a line
+            self._server.stop()
+        with self._lock:
+            left = list(self.pages.values())
+            self.pages.clear()
+        for page in left:
+            page.close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> Any:
+        self.close()

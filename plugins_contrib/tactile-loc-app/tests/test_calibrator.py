@@ -1,0 +1,164 @@
+"""A visitor calibrates a sensor from uploaded photos of a ball, and locates with photos of this sensor."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from press_sets import BALL_M, MM, TINY, ball_set
+from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError, UploadError
+from tactile_loc.io.config import ObjectConfig
+from tactile_loc.io.images import encode_png
+from tactile_loc.sensors.calibration.folder import read_calibration
+from tactile_loc.store.store import StageStore
+from test_uploads import pack
+
+from tactile_loc_app.calibrator import Calibrator
+from tactile_loc_app.session import Session
+from tactile_loc_app.shared_localizers import SharedLocalizers
+from tactile_loc_app.task_progress import TaskProgress
+
+BALLS = ball_set(7, px=80)
+DIAMETER_MM, MM_PER_PX = 2 * BALL_M / MM, 0.2
+UNTOUCHED = "untouched.png"
+
+
+def list_photos() -> dict[str, bytes]:
+    return {f"ball-{n}.png": encode_png(image) for n, image in enumerate(BALLS.images)}
+
+
+@pytest.fixture
+def calibrator(tmp_path) -> Calibrator:
+    return Calibrator(tmp_path / "own", StageStore(tmp_path / "store"), TINY)
+
+
+@pytest.fixture
+def filled(calibrator) -> Calibrator:
+    calibrator.set_reference(UNTOUCHED, encode_png(BALLS.background))
+    calibrator.add_photos("photos.zip", pack({f"some/{name}": data for name, data in list_photos().items()}))
+    return calibrator
+
+
+def test_photos_come_one_by_one_or_in_an_archive(filled):
+    assert (filled.reference, filled.names) == (UNTOUCHED, sorted(list_photos()))
+    filled.add_photos("one.png", encode_png(BALLS.images[0]))
+    assert len(filled.names) == 8
+    filled.set_reference("newer.png", encode_png(BALLS.background))
+    assert (filled.reference, len(filled.names)) == ("newer.png", 8)
+    filled.remove_photo("one.png")
+    assert filled.names == sorted(list_photos())
+    filled.remove_photo("newer.png")
+    assert (filled.reference, len(filled.names)) == (None, 7)
+    with pytest.raises(UploadError):
+        filled.remove_photo("../other.png")
+    filled.clear()
+    assert (filled.reference, filled.names) == (None, [])
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("notes.txt", b"no photo"), ("photo.png", b"no photo"), ("grey.png", encode_png(np.zeros((9, 9), np.uint8))),
+        (UNTOUCHED, encode_png(BALLS.background)), ("presses.csv", b"image,kind\n/etc/hostname,background\n"),
+        ("presses.csv", b"image,kind,mesh\na.png,mesh,../part.stl\n"),
+        ("some.zip", pack({"good.png": encode_png(BALLS.images[0]), "notes.txt": b"no photo"})),
+        ("some.zip", pack({"a/1.png": encode_png(BALLS.images[0]), "b/1.png": encode_png(BALLS.images[1])})),
+    ],
+)  # fmt: skip
+def test_a_file_that_cannot_be_used_changes_nothing(filled, name, content):
+    before = filled.names
+    with pytest.raises(TactileLocError):
+        filled.add_photos(name, content)
+    assert filled.names == before
+
+
+def test_the_photo_without_contact_has_an_own_name(filled):
+    with pytest.raises(UploadError):
+        filled.set_reference("ball-0.png", encode_png(BALLS.background))
+    with pytest.raises(CalibrationError):
+        filled.set_reference("other.png", b"no photo")
+    assert filled.reference == UNTOUCHED
+
+
+@pytest.mark.parametrize(
+    ("name", "diameter_mm", "scale"),
+    [("", 6.0, 0.2), ("../mine", 6.0, 0.2), (".hidden", 6.0, 0.2), ("mine", 0.0, 0.2), ("mine", 6.0, -1.0),
+     ("mine", 0.8, 0.2), ("a\0b", 6.0, 0.2)],
+)  # fmt: skip
+def test_impossible_names_and_lengths_are_refused(filled, name, diameter_mm, scale):
+    with pytest.raises(TactileLocError):
+        filled.calibrate(name, diameter_mm, scale)
+    assert filled.made is None
+
+
+def test_photos_are_needed(calibrator):
+    with pytest.raises(CalibrationError):
+        calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
+
+
+@pytest.mark.slow
+def test_a_photo_without_contact_that_shows_a_press_is_refused(calibrator):
+    photos = list_photos()
+    calibrator.set_reference("press.png", photos.pop("ball-0.png"))
+    calibrator.add_photos("rest.zip", pack({**photos, "gel.png": encode_png(BALLS.background)}))
+    with pytest.raises(CalibrationError, match=r"press\.png"):
+        calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
+
+
+def test_a_calibration_ends_when_its_visitor_leaves(filled):
+    filled.stop()
+    with pytest.raises(CalibrationError):
+        filled.calibrate("mine", DIAMETER_MM, MM_PER_PX)
+
+
+def test_progress_is_shown_as_a_share():
+    shown = []
+    progress = TaskProgress(lambda task, share: shown.append((task, share)), lambda: True)
+    with progress.task("looking", 4) as advance:
+        advance(1)
+        advance(1)  # too soon to be shown
+    assert shown == [("looking", 0.25)]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_thread")
+def test_photos_become_a_sensor_that_locates_photos(tmp_path, store):
+    pytest.importorskip("torch")
+    (tmp_path / "visitors").mkdir()
+    session = Session(SharedLocalizers(tmp_path / "visitors", store), ObjectConfig(path="pin"))
+    calibrator = session.calibrator
+    calibrator.options = TINY
+    calibrator.set_reference(UNTOUCHED, encode_png(BALLS.background))
+    calibrator.add_photos("photos.zip", pack(list_photos()))
+    tasks: set[str] = set()
+    made = calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX, lambda task, _: tasks.add(task))
+    assert "learning slope from colour" in tasks
+    assert calibrator.made is made
+    assert made.labels is not None
+    assert len(made.labels.found.used) == 7
+    assert any("indentation in the contact" in line for line in made.describe())
+    with zipfile.ZipFile(io.BytesIO(made.pack())) as archive:
+        names = set(archive.namelist())
+        archive.extractall(tmp_path / "unpacked")
+    assert {"mine/held-out.png", "mine-labels/labels.png", "mine-labels/presses.csv"} <= names
+    assert read_calibration(tmp_path / "unpacked" / "mine").record == read_calibration(made.folder).record
+
+    session.choose_sensor(str(made.folder))
+    (touch,) = session.read_touch_file("photo.png", list_photos()["ball-3.png"])
+    assert touch.image is not None
+    assert 1e-4 < touch.press_depth_m < 1.5e-3
+    frames = tmp_path / "camera"
+    frames.mkdir()
+    (frames / "frame.png").write_bytes(list_photos()["ball-4.png"])
+    assert session.take_camera_touch(str(frames)).name == "frame.png"
+    assert len(session.touches) == 2
+
+    again = calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
+    assert again.folder != made.folder
+    calibrator.add_photos("presses.csv", (made.presses / "presses.csv").read_bytes())
+    assert calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX).labels is None
+    session.close()
+    assert list(Path(tmp_path / "visitors").iterdir()) == []

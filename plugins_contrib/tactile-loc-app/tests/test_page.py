@@ -1,0 +1,271 @@
+"""The page in a headless browser: press, add, locate and export; and two visitors at once."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import app_session as program
+import browser
+import numpy as np
+import pytest
+import trimesh
+from press_sets import BALL_M, MM, TINY, ball_set
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
+from tactile_loc.core.runtime.errors import ConfigError, MissingLibraryError, ObjectError
+from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc.io.images import encode_png
+from tactile_loc.io.touches import write_touch
+from tactile_loc.slots.registry import registry
+from tactile_loc.store.store import StageStore
+from test_uploads import pack
+
+from tactile_loc_app.follower import Follower
+from tactile_loc_app.pictures import colour_probability, paint_beside, paint_photo, paint_wide
+from tactile_loc_app.scene_view import choose_magnification, from_view, measure_height, to_view
+
+if TYPE_CHECKING:
+    from tactile_loc_app.panels import Page
+
+PIN, MINI = ObjectConfig(path="pin"), SlotConfig(name="gelsight-mini")
+
+
+def test_poses_of_the_view_are_those_of_the_session():
+    T = make_transform(draw_rotations(1, np.random.default_rng(0))[0], [0.01, -0.02, 0.03])
+    node = type("Node", (), to_view(T))
+    np.testing.assert_allclose(from_view(node), T, atol=1e-12)
+
+
+@pytest.mark.parametrize(("std_m", "times"), [(5e-3, 1), (4e-4, 1), (4e-5, 10), (4e-9, 1000)])
+def test_a_small_ellipsoid_is_drawn_larger(std_m, times):
+    assert choose_magnification(std_m**2 * np.eye(6)) == times
+
+
+def test_the_height_of_a_view_is_upright_and_across_the_way_of_sight():
+    away = np.array([3.0, 0.0, 4.0])
+    height = measure_height(away, np.pi / 2)
+    assert height @ away == pytest.approx(0, abs=1e-9)
+    assert np.linalg.norm(height) == pytest.approx(10)
+    assert height[2] > 0
+
+
+def test_a_photo_is_scaled_to_its_neighbour():
+    photo = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    scaled = paint_photo(photo, (4, 6))
+    np.testing.assert_array_equal(scaled[::2, ::2], photo)
+    assert scaled.shape == (4, 6, 3)
+
+
+def test_the_picture_of_a_shape_shows_contact():
+    geometry = registry().create("sensor", MINI.name, {}).geometry.resize_long_side(72)
+    depth = np.full(geometry.shape, 1e-3, np.float32)
+    depth[20:30, 30:50] = 0
+    picture = paint_wide(ContactShape(depth, 1e-3), geometry)
+    assert picture.shape == (4 * geometry.shape[0], 4 * geometry.shape[1], 3)
+    assert (picture[4 * 25, 4 * 40] != picture[0, 0]).any()
+    assert paint_beside(picture, picture).shape[1] > 2 * picture.shape[1]
+    assert colour_probability(1.0, 1.0) != colour_probability(0.0, 1.0)
+
+
+def test_only_the_newest_request_counts():
+    started, release, seen = threading.Event(), threading.Event(), []
+
+    def work(request: int) -> None:
+        seen.append(request)
+        started.set()
+        release.wait(10)
+
+    follower = Follower(work)
+    follower.ask(0)
+    assert started.wait(10)
+    for request in range(1, 5):
+        follower.ask(request)
+    release.set()
+    for _ in range(1000):
+        if follower.done == 2:
+            break
+        threading.Event().wait(0.01)
+    follower.stop()
+    assert seen == [0, 4]
+
+
+def test_the_server_refuses_a_wrong_object_and_port_before_it_starts(tmp_path):
+    pytest.importorskip("viser")
+    from tactile_loc_app.server import AppServer
+
+    with pytest.raises(ObjectError):
+        AppServer(ObjectConfig(path="missing.stl"), store=StageStore(tmp_path))
+    with pytest.raises(ConfigError):
+        AppServer(PIN, port=70000, store=StageStore(tmp_path))
+
+
+def test_without_viser_the_message_names_it(monkeypatch):
+    from tactile_loc_app.server import require_viser
+
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingLibraryError, match="pip install 'viser"):
+        require_viser()
+
+
+def require_browser() -> None:
+    """Skip a test, with the reason, unless the page can be opened in a browser."""
+    pytest.importorskip("viser")
+    pytest.importorskip("selenium")
+    if browser.find_browser() is None:
+        pytest.skip("there is no chromium with its chromedriver")
+
+
+def hostile(suffix: str = "") -> str:
+    """Return a name that runs scripts, loads a picture, and links, where it is taken for HTML or Markdown."""
+    script = '<img src=x onerror=top.ran=1><iframe srcdoc="<img src=x onerror=top.ran=1>">'
+    return f"{script}![](http:&#47;&#47;evil.example&#47;a.png)[x](javascript:top.ran=1) www.evil.example{suffix}"
+
+
+@pytest.mark.slow
+def test_names_in_files_are_shown_literally(tmp_path, store):
+    require_browser()
+    from tactile_loc_app.server import AppServer
+
+    mesh, photo = tmp_path / hostile(".stl"), tmp_path / hostile(".png")
+    mesh.write_bytes(trimesh.creation.box((30, 20, 10)).export(file_type="stl"))
+    photo.write_bytes(encode_png(ball_set(1, px=80).background))
+    table = "[[touch]]\npath = '{}'\n"
+    (tmp_path / "bad.zip").write_bytes(pack({"touches.toml": table.format("<b>missing.npz").encode()}))
+    (tmp_path / "link.zip").write_bytes(pack({f"../{hostile()}": b""}))
+    with AppServer(PIN, MINI, port=0, store=store) as server:
+        session = server.new_session()
+        touch = write_touch(tmp_path / "touch.npz", session.add_touch()).read_bytes()
+        session.close()
+        listed = {"touches.toml": table.format(hostile(".npz")).encode()}
+        (tmp_path / "good.zip").write_bytes(pack({**listed, hostile(".npz"): touch}))
+        visitor = program.Visitor(f"{server.url}/?websocket=ws://127.0.0.1:9", tmp_path)
+        try:
+            program.wait_until(lambda: "connect-src" in read_console(visitor), "another server is not refused")
+            visitor.browser.get(server.url)
+            read_console(visitor)
+            page = program.await_page(server, visitor)
+            visitor.click("Add this touch")  # draws its number, for which the page makes code
+            visitor.await_text("Touches: touch-1", 20)
+            visitor.upload("Open your own mesh", mesh)
+            visitor.await_text(f"{hostile()}: 30.0 x 20.0", 20)
+            visitor.click_text("Touches from files")
+            visitor.upload("Upload a touch or a list", tmp_path / "good.zip")
+            visitor.await_text(f"Touches: {hostile('.npz')}", 20)
+            for name in ("bad.zip", "link.zip"):
+                visitor.upload("Upload a touch or a list", tmp_path / name)
+            visitor.await_text("<b>missing.npz", 20)
+            visitor.await_text(f"'../{hostile()}'", 20)
+            visitor.open_tab("Calibrate a sensor")
+            visitor.upload("Upload the photo without contact", photo)
+            visitor.await_text(f"Without contact: {hostile('.png')}", 20)
+            page.notices.notify(hostile("title"), hostile("text"))
+            visitor.await_text(hostile("title"), 20)
+            find = (
+                "return [window.ran,"
+                "document.querySelectorAll('iframe, img[src=x], a[href*=evil], a[href^=java]').length,"
+                "performance.getEntriesByType('resource').filter(one => one.name.includes('evil')).length]"
+            )
+            assert visitor.browser.execute_script(find) == [None, 0, 0]
+            assert "Error" not in read_console(visitor)
+        finally:
+            visitor.close()
+
+
+def read_console(visitor: program.Visitor) -> str:
+    """Return the new lines of the browser's console."""
+    return "\n".join(str(entry["message"]) for entry in visitor.browser.get_log("browser"))
+
+
+@pytest.mark.slow
+def test_visitors_press_locate_and_export(tmp_path, store):
+    require_browser()
+    from tactile_loc_app.server import AppServer
+
+    with AppServer(PIN, MINI, port=0, store=store) as server:
+        visitor = program.Visitor(server.url, tmp_path)
+        other = program.Visitor(server.url, tmp_path)
+        try:
+            assert server.url.startswith("http://127.0.0.1:")
+            program.await_page(server, visitor)
+            program.wait_until(lambda: len(server.pages) == 2, "a visitor is missing")
+            mine, theirs = (server.pages[number] for number in sorted(server.pages))
+            visitor.click("Locate")
+            visitor.await_text("there is no touch yet")
+            visitor.click("Add this touch")
+            visitor.await_text("Touches: touch-1")
+            visitor.click("Locate")
+            visitor.await_text("Located in", 300)
+            visitor.click("Suggest the next touch")
+            visitor.await_text("The next touch is green")
+            visitor.click("Add this touch")
+            visitor.await_text("Touches: touch-1, touch-2")
+            assert "mm from the true pose" in visitor.read()
+            visitor.click("Locate")
+            visitor.await_text(" s from 2 touches")
+            visitor.click("Download the result")
+            with zipfile.ZipFile(visitor.await_download(program.ARCHIVE)) as archive:
+                assert {"result.json", "locate.py", "touch-1.npz"} <= set(archive.namelist())
+                record = json.loads(archive.read("result.json"))
+            assert record["verdict"] in visitor.read()
+            visitor.fill("Press (mm)", 99)
+            visitor.await_text("The press is")
+            assert mine.depth.value == mine.depth.max
+            visitor.click("Remove this touch")
+            visitor.await_text("Touches: touch-1")
+            program.wait_until(lambda: "from 2 touches" not in visitor.read(), "the old result stays")
+            assert mine.session.result is None
+            visitor.click("Add this touch")
+            visitor.await_text("Touches: touch-1, touch-2")
+            assert sorted(len(page.session.touches) for page in (mine, theirs)) == [0, 2]
+            assert "No touch yet" in other.read()
+            wrong = tmp_path / "wrong.stl"
+            wrong.write_text("this is no mesh")
+            other.upload("Open your own mesh", wrong)
+            other.await_text("This did not work")
+            assert "pin: 16.0" in other.read()
+            (tmp_path / "block.stl").write_bytes(trimesh.creation.box((30, 20, 10)).export(file_type="stl"))
+            other.upload("Open your own mesh", tmp_path / "block.stl")
+            other.await_text("block: 30.0 x 20.0 x 10.0 mm")
+            other.choose("Unit of own files", "cm")
+            other.await_text("block: 300.0 x 200.0 x 100.0 mm")
+            assert theirs.units.value == "cm"
+            calibrate_in_the_page(other, theirs, tmp_path)
+            assert theirs.session.localizer.config.sensor.name == "calibrated"
+            assert mine.session.localizer.config.sensor.name == MINI.name
+            own = [page.session.folder for page in (mine, theirs)]
+            assert all(folder.is_dir() for folder in own)
+        finally:
+            visitor.close()
+            other.close()
+        program.wait_until(lambda: not any(folder.exists() for folder in own), "files of visitors are left")
+
+
+def calibrate_in_the_page(visitor: program.Visitor, page: Page, folder: Path) -> None:
+    """Calibrate a sensor from photos in the page, after a mistake, and use it."""
+    balls, diameter_mm = ball_set(7, px=80), 2 * BALL_M / MM
+    (folder / "untouched.png").write_bytes(encode_png(balls.background))
+    photos = {f"{number}.png": encode_png(image) for number, image in enumerate(balls.images)}
+    (folder / "balls.zip").write_bytes(pack(photos))
+    page.session.calibrator.options = TINY
+    visitor.open_tab("Calibrate a sensor")
+    visitor.click("Calibrate")
+    visitor.await_text("there is no photo of a press yet")
+    visitor.upload("Upload the photo without contact", folder / "untouched.png")
+    visitor.await_text("Without contact: untouched.png")
+    visitor.upload("Upload photos of the ball", folder / "balls.zip")
+    visitor.await_text("Photos of presses: 7")
+    visitor.fill("Ball diameter", diameter_mm)
+    visitor.fill("Size of a pixel", 0.2)
+    program.wait_until(lambda: page.calibration.scale.value == 0.2, "the scale does not arrive")
+    visitor.click("Calibrate")
+    visitor.await_text("1 of 7 presses were held out", 300)
+    visitor.click("Download the sensor")
+    with zipfile.ZipFile(visitor.await_download("my_sensor.zip")) as archive:
+        assert "my_sensor/calibration.json" in archive.namelist()
+    visitor.click("Use this sensor")
+    visitor.await_text("my_sensor is the sensor now")
