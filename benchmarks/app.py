@@ -30,7 +30,7 @@ from tactile_loc_app.virtual_finger import Pose
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc.io.config import RunConfig
 from tactile_loc.store.store import StageStore
 
 LARGE = 200_000  # triangles, at least
@@ -120,8 +120,8 @@ def main() -> None:
             for words, path in ((known, known), (f"{known}, fine", str(write_large(known, folder)))):
                 for sensor in arguments.sensors:
                     for gel in ("rigid", "layer"):
-                        chosen = ObjectConfig(path=path, units="mm")
-                        session = Session(localizers, chosen, SlotConfig(name=sensor, options={"gel": gel}))
+                        chosen = {"object": {"path": path, "units": "mm"}, "sensor": {"name": sensor, "gel": gel}}
+                        session = Session(localizers, RunConfig.from_dict(chosen))
                         row = measure(session, server, arguments.updates)
                         print(row.format(words, str(len(session.object.mesh.faces)), sensor, gel), flush=True)
     with redirect_stdout(io.StringIO()):  # viser prints a line

@@ -23,10 +23,13 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses.tolerance import Tolerance as Tolerance
     from tactile_loc.core.runtime.errors import NoContactError as NoContactError
     from tactile_loc.core.runtime.errors import TactileLocError as TactileLocError
+    from tactile_loc.core.sensing.depth_maps import DepthKind as DepthKind
+    from tactile_loc.core.sensing.depth_maps import DepthUnit as DepthUnit
     from tactile_loc.core.sensing.noise import make_noise as make_noise
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape
     from tactile_loc.core.sensing.touch import Touch as Touch
+    from tactile_loc.data import DEMO_OBJECTS as DEMO_OBJECTS
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
     from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
     from tactile_loc.evaluation.sweep.plan import Plan as Plan
@@ -36,17 +39,24 @@ if TYPE_CHECKING:
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches
     from tactile_loc.io.config import RunConfig as RunConfig
+    from tactile_loc.io.images import IMAGE_SUFFIXES as IMAGE_SUFFIXES
+    from tactile_loc.io.images import read_photo as read_photo
+    from tactile_loc.io.meshes.mesh_files import Units as Units
     from tactile_loc.io.meshes.mesh_files import load_object as load_object
     from tactile_loc.io.meshes.mesh_files import simplify_mesh as simplify_mesh
     from tactile_loc.io.options import HypothesisOptions as HypothesisOptions
     from tactile_loc.io.options import SearchOptions as SearchOptions
     from tactile_loc.io.options import TrackerOptions as TrackerOptions
+    from tactile_loc.io.shape_pictures import paint_shape as paint_shape
+    from tactile_loc.io.streams.frame_sources import FrameTaker as FrameTaker
+    from tactile_loc.io.streams.frame_sources import SourceFrame as SourceFrame
     from tactile_loc.io.streams.frame_sources import open_source as open_source
     from tactile_loc.io.streams.recordings import Recording as Recording
     from tactile_loc.io.streams.recordings import choose_image_topic as choose_image_topic
     from tactile_loc.io.streams.ros_messages import RosPose as RosPose
     from tactile_loc.io.streams.ros_messages import decode_image as decode_image
     from tactile_loc.io.streams.sensor_tracks import read_sensor_track as read_sensor_track
+    from tactile_loc.io.streams.videos import VIDEO_SUFFIXES as VIDEO_SUFFIXES
     from tactile_loc.io.touches import read_touch as read_touch
     from tactile_loc.io.touches import touch_from_image as touch_from_image
     from tactile_loc.io.touches import write_touch as write_touch
@@ -58,6 +68,7 @@ if TYPE_CHECKING:
     from tactile_loc.locate.result.localization import Localization as Localization
     from tactile_loc.locate.result.located_frame import LocatedFrame as LocatedFrame
     from tactile_loc.locate.result.verdict import Verdict as Verdict
+    from tactile_loc.locate.touch_files import read_observations as read_observations
     from tactile_loc.planning.approaches import draw_approaches as draw_approaches
     from tactile_loc.planning.approaches import draw_approaches_to_modes as draw_approaches_to_modes
     from tactile_loc.planning.clearance import Clearance as Clearance
@@ -69,6 +80,14 @@ if TYPE_CHECKING:
     from tactile_loc.planning.next_touch import NextTouch as NextTouch
     from tactile_loc.planning.next_touch import RatedApproach as RatedApproach
     from tactile_loc.planning.next_touch import choose_next_touch as choose_next_touch
+    from tactile_loc.reports.report import write_report as write_report
+    from tactile_loc.sensors.calibration.labelling import BallLabels as BallLabels
+    from tactile_loc.sensors.calibration.labelling import label_presses as label_presses
+    from tactile_loc.sensors.calibration.outcome import CalibrationOutcome as CalibrationOutcome
+    from tactile_loc.sensors.calibration.outcome import calibrate_folder as calibrate_folder
+    from tactile_loc.sensors.calibration.presses import list_named_files as list_named_files
+    from tactile_loc.sensors.reading.estimator import EstimatorRecipe as EstimatorRecipe
+    from tactile_loc.simulate.touch_simulation import press_touch as press_touch
     from tactile_loc.store.store import StageStore as StageStore
     from tactile_loc.tasks.identify import Identification as Identification
     from tactile_loc.tasks.identify import KnownObject as KnownObject
@@ -83,6 +102,10 @@ if TYPE_CHECKING:
     from tactile_loc.tracking.tracked_pose import TrackedPose as TrackedPose
     from tactile_loc.tracking.tracker import Motion as Motion
     from tactile_loc.tracking.tracker import Tracker as Tracker
+    from tactile_loc.view.calibration import draw_circle as draw_circle
+    from tactile_loc.view.calibration import draw_reading as draw_reading
+    from tactile_loc.view.calibration import save_held_out as save_held_out
+    from tactile_loc.view.calibration import save_labels as save_labels
     from tactile_loc.view.pictures import draw_result as draw_result
     from tactile_loc.view.pictures import save_figure as save_figure
 

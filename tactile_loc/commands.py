@@ -40,6 +40,12 @@ if TYPE_CHECKING:
     from tactile_loc_cli.workers import choose_workers as choose_workers
 
     # results go to stdout, all else to stderr; with --json, only the dictionary that a command returns is written
+    from tactile_loc.core.runtime.errors import fold_line as fold_line
     from tactile_loc.core.runtime.formatting import format_bytes as format_bytes
+    from tactile_loc.core.runtime.formatting import format_mm as format_mm
+    from tactile_loc.core.runtime.formatting import format_percent as format_percent
+
+    # which requests a local web server answers
+    from tactile_loc.reports.access import Access as Access
 
 __all__, __getattr__, __dir__ = lazy_names(__name__)

@@ -10,7 +10,7 @@ import pytest
 from tactile_loc_app.session import Session, place_above
 from tactile_loc_app.shared_localizers import SharedLocalizers
 
-from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.store.store import StageStore
 
@@ -22,7 +22,7 @@ with pytest.MonkeyPatch.context() as patch:
 @pytest.fixture
 def session(tmp_path) -> Session:
     localizers = SharedLocalizers(tmp_path, StageStore(tmp_path / "store"))
-    return Session(localizers, ObjectConfig(path="hook"), SlotConfig(name="gelsight-mini"))
+    return Session(localizers, RunConfig.from_dict({"object": {"path": "hook"}, "sensor": "gelsight-mini"}))
 
 
 def test_the_finger_is_dragged_along_the_longest_side(session):

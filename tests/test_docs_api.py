@@ -19,8 +19,10 @@ IN_TABLES = set(re.findall(r"^\| `(\w+)` \|", REFERENCE, re.MULTILINE))  # types
 @pytest.fixture(scope="module")
 def code() -> griffe.ModulesCollection:
     """The package as the site builder reads it, without importing it."""
-    loader = griffe.GriffeLoader(search_paths=[ROOT])
-    loader.load("tactile_loc")
+    annexes = sorted((ROOT / "plugins_contrib").glob("tactile-loc-*"))
+    loader = griffe.GriffeLoader(search_paths=[ROOT, *annexes])
+    for name in sorted({entry.partition(".")[0] for entry in ENTRIES}):
+        loader.load(name)
     return loader.modules_collection
 
 

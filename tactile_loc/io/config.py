@@ -142,9 +142,11 @@ class RunConfig(_Strict):
     @model_validator(mode="before")
     @classmethod
     def _suit_the_grid(cls, value: Any) -> Any:
-        """Fill in the defaults that depend on the grid."""
+        """Fill in the defaults that depend on the grid, and take the path of a sensor for the sensor that reads it."""
         if not isinstance(value, dict):
             return value
+        if isinstance(value.get("sensor"), str):
+            value = value | {"sensor": choose_sensor(value["sensor"])}
         grid = value.get("grid", WHOLE)
         named = grid.get("name") if isinstance(grid, dict) else getattr(grid, "name", grid)
         return {slot: choose_component(slot, str(named)) for slot in OF_WHOLE} | value

@@ -49,6 +49,11 @@ class Access:
         own = socket.gethostname().lower().partition(".")[0]
         return cls((LOOPBACK | {name, own}) - {""}, secrets.token_urlsafe(TOKEN_BYTES))
 
+    @staticmethod
+    def is_everywhere(host: str) -> bool:
+        """Return whether an address stands for all of a machine, so that other machines reach the server."""
+        return host in EVERYWHERE
+
     def find_fault(self, path: str, headers: Headers, connects: bool = False) -> str:
         """Return why a request is refused, in one sentence, or "". `connects` tells that it opens a websocket."""
         hosts, origins = (headers.get_all(name) or [] for name in ("Host", "Origin"))

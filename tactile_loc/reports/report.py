@@ -65,11 +65,12 @@ def make_page(source: Source) -> Page:
     return page
 
 
-def write_report(source: Source, out: Path | None = None) -> Path:
-    """Write the report of a result to `out`, by default beside the result, and return the report's path.
+def write_report(result: Source | str | Path, out: Path | None = None) -> Path:
+    """Write the report of a result, or of its file or folder, to `out`, by default beside it, and return the path.
 
     Raises ResultError if the result cannot be read, and OutputError if the report cannot be written.
     """
+    source = result if isinstance(result, Source) else find_source(Path(result))
     path = choose_path(source.folder, out)
     with name_damage(source.path):
         return write_page(make_page(source), path)

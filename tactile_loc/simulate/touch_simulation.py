@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Float32, Poses
-from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.geometry.rigid import Float32, Poses, invert
+from tactile_loc.core.runtime.errors import NoContactError, TouchError
 from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -58,6 +58,30 @@ def draw_touches(
             touch = make_touch(shape, scene, T, f"touch-{len(touches):04d}")
             touches += [touch] if touch is not None else []
     return touches, tried - len(touches)
+
+
+def press_touch(
+    scene: Scene,
+    T_base_sensor: NDArray[np.float64],
+    press_depth_m: float,
+    name: str = "simulated",
+    noise: TouchNoise | None = None,
+    rng: np.random.Generator | None = None,
+) -> Touch:
+    """Simulate the touch of a sensor that moves from `T_base_sensor` (4, 4), metres, along its z axis to the object.
+
+    The object rests with its frame at the base. The touch has the true poses of sensor and object. Raises
+    NoContactError if the sensor misses the object, or `noise` hides the contact, and TouchError for a press depth
+    beyond the sensor's range or a flat contact.
+    """
+    T, touching = scene.bring_to_contact(invert(T_base_sensor)[None])
+    if not touching[0]:
+        raise NoContactError("the sensor misses the object; turn or move it so that its z axis meets the object")
+    presses = PressNoise.of(scene, rng or np.random.default_rng(0), press_depth_m, noise)
+    poses, (shape,) = presses.press(T, least_percent=0.0)
+    if shape is None:
+        raise NoContactError("noise hides the contact; press deeper, or choose less noise")
+    return Touch(shape, scene.geometry, name, T_base_sensor=invert(poses[0]), T_sensor_object=poses[0])
 
 
 class PressNoise:

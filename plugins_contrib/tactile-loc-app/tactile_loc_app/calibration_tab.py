@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.view.calibration import draw_circle, draw_reading
-from tactile_loc.view.pictures import render_figure
+from tactile_loc import draw_circle, draw_reading
 
 from tactile_loc_app.calibrator import Calibrator, MadeSensor
+from tactile_loc_app.errors import AppError
 from tactile_loc_app.markdown import Paragraph, list_numbered
 from tactile_loc_app.notices import Notices
-from tactile_loc_app.pictures import EMPTY
+from tactile_loc_app.pictures import EMPTY, render_figure
 from tactile_loc_app.uploads import LARGEST_MB, take_upload
 
 if TYPE_CHECKING:
@@ -167,5 +166,5 @@ class CalibrationTab:
 
     def _require_made(self) -> MadeSensor:
         if self.calibrator.made is None:
-            raise CalibrationError("there is no calibrated sensor yet; calibrate first")
+            raise AppError("there is no calibrated sensor yet; calibrate first")
         return self.calibrator.made

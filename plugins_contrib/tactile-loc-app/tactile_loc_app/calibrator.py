@@ -8,22 +8,28 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
-from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError, UploadError
-from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo
-from tactile_loc.io.streams.videos import VIDEO_SUFFIXES
-from tactile_loc.sensors.calibration.frames import SHEET
-from tactile_loc.sensors.calibration.labelling import BallLabels, label_presses
-from tactile_loc.sensors.calibration.outcome import CalibrationOutcome, calibrate_folder
-from tactile_loc.sensors.calibration.presses import SENSOR, TABLE, list_named_files
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe
-from tactile_loc.store.files import list_files
-from tactile_loc.store.store import StageStore
-from tactile_loc.view.calibration import save_held_out, save_labels
+from tactile_loc import (
+    IMAGE_SUFFIXES,
+    VIDEO_SUFFIXES,
+    BallLabels,
+    CalibrationOutcome,
+    EstimatorRecipe,
+    StageStore,
+    TactileLocError,
+    calibrate_folder,
+    label_presses,
+    list_named_files,
+    read_photo,
+    save_held_out,
+    save_labels,
+)
 
+from tactile_loc_app.errors import AppError
 from tactile_loc_app.task_progress import ShowProgress, TaskProgress
 from tactile_loc_app.uploads import read_files, write_upload
 
 PHOTOS = "photos"
+TABLE, SENSOR, SHEET = "presses.csv", "sensor.toml", "labels.png"  # files of a folder of presses
 SUFFIXES = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, PurePath(TABLE).suffix)
 
 
@@ -75,7 +81,10 @@ class Calibrator:
     @property
     def names(self) -> list[str]:
         """The names of the photos and videos of presses, and of the table if there is one."""
-        return [path.name for path in list_files(self._photos, SUFFIXES) if path.name != self.reference]
+        return [path.name for path in self._list_files() if path.name != self.reference]
+
+    def _list_files(self) -> list[Path]:
+        return sorted(path for path in self._photos.iterdir() if path.suffix.lower() in SUFFIXES)
 
     def set_reference(self, name: str, content: bytes) -> None:
         """Take the photo of the untouched gel, instead of an earlier one. Raises TactileLocError if it is none."""
@@ -83,7 +92,7 @@ class Calibrator:
             path = write_upload(Path(temporary), name, content)
             _require_photo(path)
             if path.name in self.names:
-                raise UploadError(f"there is a photo {path.name} of a press already; give this photo another name")
+                raise AppError(f"there is a photo {path.name} of a press already; give this photo another name")
             if self.reference is not None:
                 (self._photos / self.reference).unlink()
             self.reference = path.replace(self._photos / path.name).name
@@ -98,7 +107,7 @@ class Calibrator:
             added: list[Path] = []
             for path, data in read_files(name, content):
                 if path.name in {other.name for other in added}:
-                    raise UploadError(f"{name} holds two files {path.name}; give each photo its own name")
+                    raise AppError(f"{name} holds two files {path.name}; give each photo its own name")
                 if path.name != SHEET:
                     added.append(write_upload(Path(temporary), path.name, data))
                     self._require_usable(added[-1])
@@ -110,18 +119,18 @@ class Calibrator:
         if path.name == TABLE:
             other = next((name for name in list_named_files(path) if PurePath(name).name != name), None)
             if other is not None:
-                raise CalibrationError(f"{TABLE} names the file {other!r}; give only the names of uploaded photos")
+                raise AppError(f"{TABLE} names the file {other!r}; give only the names of uploaded photos")
         elif path.name == self.reference:
-            raise UploadError(f"{path.name} is the photo of the untouched gel; give the photo of a press another name")
+            raise AppError(f"{path.name} is the photo of the untouched gel; give the photo of a press another name")
         elif suffix in IMAGE_SUFFIXES:
             _require_photo(path)
         elif suffix not in VIDEO_SUFFIXES:
-            raise UploadError(f"{path.name} is neither a photo, nor a video, nor {TABLE}; leave it out")
+            raise AppError(f"{path.name} is neither a photo, nor a video, nor {TABLE}; leave it out")
 
     def remove_photo(self, name: str) -> None:
-        """Remove one file of `names`, or the reference. Raises UploadError if there is no such file."""
+        """Remove one file of `names`, or the reference. Raises AppError if there is no such file."""
         if name not in (*self.names, self.reference):
-            raise UploadError(f"there is no photo {name!r}; choose one of the list")
+            raise AppError(f"there is no photo {name!r}; choose one of the list")
         (self._photos / name).unlink()
         if name == self.reference:
             self.reference = None
@@ -129,7 +138,7 @@ class Calibrator:
     def clear(self) -> None:
         """Remove all photos. A sensor that was made from them stays."""
         self.reference = None
-        for path in list_files(self._photos, SUFFIXES):
+        for path in self._list_files():
             path.unlink()
 
     def stop(self) -> None:
@@ -144,9 +153,9 @@ class Calibrator:
         `show` gets the running task and its share, 0 to 1. Raises TactileLocError for unusable photos or lengths.
         """
         if not self.names:
-            raise CalibrationError("there is no photo of a press yet; upload photos of the pressed ball first")
+            raise AppError("there is no photo of a press yet; upload photos of the pressed ball first")
         if not name or PurePath(name).name != name or name.startswith(".") or not name.isprintable():
-            raise CalibrationError(f"a sensor cannot be called {name!r}; give a name of letters and numbers")
+            raise AppError(f"a sensor cannot be called {name!r}; give a name of letters and numbers")
         progress = TaskProgress(show, lambda: not self._stopped)
         work = Path(tempfile.mkdtemp(dir=self.folder, prefix="made-"))
         presses = work / PHOTOS
@@ -163,10 +172,10 @@ class Calibrator:
         return made
 
     def _require_untouched(self, labels: BallLabels | None) -> None:
-        """Raise CalibrationError if the photo of the untouched gel shows a press."""
+        """Raise AppError if the photo of the untouched gel shows a press."""
         if labels is None or self.reference is None or self.reference in labels.found.untouched_names:
             return
-        raise CalibrationError(
+        raise AppError(
             f"{self.reference} differs from the untouched gel in the other photos; take it without contact, with the "
             "same light"
         )
@@ -176,4 +185,4 @@ def _require_photo(path: Path) -> None:
     try:
         read_photo(path)
     except TactileLocError as error:
-        raise CalibrationError(str(error).replace(str(path), path.name)) from error
+        raise AppError(str(error).replace(str(path), path.name)) from error

@@ -7,9 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 
-from tactile_loc.core.runtime.errors import SourceError
-from tactile_loc.io.streams.frame_sources import SourceFrame, open_source
-from tactile_loc.io.streams.frame_taker import FrameTaker
+from tactile_loc import FrameTaker, SourceFrame, TactileLocError, open_source
+
+from tactile_loc_app.errors import AppError
 
 DEVICES = "/dev/"
 
@@ -25,7 +25,7 @@ class ChosenCamera:
     def take(self, source: str) -> SourceFrame:
         """Return the newest frame of a source: a camera's number or device, or the path of a video or a folder.
 
-        Raises SourceError if there is no such source, or if it has no new frame.
+        Raises AppError if there is no such source, or if it has no new frame.
         """
         name = source.strip()
         with self._lock:
@@ -34,7 +34,7 @@ class ChosenCamera:
                 self._chosen, self._taker = name, _open(name)
             try:
                 return self._taker.take()
-            except SourceError:
+            except TactileLocError:
                 if not os.path.isdir(name):  # a folder remembers its files
                     self._drop()
                 raise
@@ -52,9 +52,7 @@ class ChosenCamera:
 
 def _open(name: str) -> FrameTaker:
     if not name:
-        raise SourceError(
-            "no camera is chosen; give its number, such as 0, or the path of a video or a folder of images"
-        )
+        raise AppError("no camera is chosen; give its number, such as 0, or the path of a video or a folder of images")
     is_camera = name.isdigit() or name.startswith(DEVICES)
     path = Path(name)
     with suppress(RuntimeError, ValueError):  # no such user, or a name that no user can have

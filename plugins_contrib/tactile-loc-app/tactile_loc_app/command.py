@@ -8,25 +8,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Annotated, Any
 
-from tactile_loc_cli import options
-from tactile_loc_cli.console import say
-from tactile_loc_cli.options import RunOptions
+from tactile_loc.commands import RunOptions, Store, Takes, declare, make_config, say
 
 HOST, PORT = "127.0.0.1", 8080
 
-Given = Annotated[RunOptions, options.Takes("object", "units", "symmetry", "sensor")]
-Port = Annotated[
-    int, options.declare("--port", "N", f"Port of the page; if it is taken, the next free one. Default: {PORT}.",
-                         min=0, max=65535, show_default=False)
-]  # fmt: skip
-Host = Annotated[
-    str,
-    options.declare(
-        "--host", "ADDRESS",
-        "Address at which the page is served; 0.0.0.0 serves it to other machines, which need the token in the printed "
-        f"address. Default: {HOST}.", show_default=False,
-    ),
-]  # fmt: skip
+Given = Annotated[RunOptions, Takes("object", "units", "symmetry", "sensor")]
+PORT_HELP = f"Port of the page; if it is taken, the next free one. Default: {PORT}."
+HOST_HELP = (
+    "Address at which the page is served; 0.0.0.0 serves it to other machines, which need the token in the printed "
+    f"address. Default: {HOST}."
+)
+Port = Annotated[int, declare("--port", "N", PORT_HELP, min=0, max=65535, show_default=False)]
+Host = Annotated[str, declare("--host", "ADDRESS", HOST_HELP, show_default=False)]
 
 
 @contextmanager
@@ -39,18 +32,18 @@ def _end_like_ctrl_c() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def app(*, given: Given, host: Host = HOST, port: Port = PORT, store: options.Store = None) -> dict[str, Any]:
+def app(*, given: Given, host: Host = HOST, port: Port = PORT, store: Store = None) -> dict[str, Any]:
     """Press a virtual finger on an object, and locate it, on a local web page.
 
     The page takes own meshes, sensors and touches. The result can be downloaded with a Python script that computes it
     again. The command ends with Ctrl-C.
     """
-    from tactile_loc.store.store import StageStore
+
+    from tactile_loc import StageStore
 
     from tactile_loc_app.server import AppServer
 
-    settings = options.make_config(given)
-    chosen = settings.object, settings.sensor, host, port, StageStore(store)
+    chosen = make_config(given), host, port, StageStore(store)
     # a signal may come as soon as the address is printed
     with _end_like_ctrl_c(), AppServer(*chosen) as server, suppress(KeyboardInterrupt):
         say(f"page: {server.url} (Ctrl-C ends it)")

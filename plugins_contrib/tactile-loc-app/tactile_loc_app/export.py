@@ -8,17 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tactile_loc.core.poses.priors import GaussianPrior
-from tactile_loc.core.runtime.errors import OutputError
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.config import RunConfig
-from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.localization import Localization
-from tactile_loc.reports import find_source
-from tactile_loc.reports.report import write_report
-from tactile_loc.store.files import write_atomically
+from tactile_loc import (
+    DEMO_OBJECTS,
+    GaussianPrior,
+    Localization,
+    Localizer,
+    RunConfig,
+    Touch,
+    write_report,
+    write_touch,
+)
+
+from tactile_loc_app.errors import AppError
 
 SCRIPT = "locate.py"
 OBJECT, SENSOR = "object", "sensor"  # folders of the copies, whose names may be those of other files
@@ -56,15 +57,16 @@ def write_export(
     """Write result.json, result.npz, report.html, the object, the sensor, the touches and locate.py; return the paths.
 
     The script locates the object again from the files in the folder. `prior` is the prior of the result, in the base
-    frame. Raises OutputError if a file cannot be written.
+    frame. Raises AppError if a file cannot be written.
     """
     found = dataclasses.replace(found, config=_name_copies(localizer.config))
     written = found.save(folder)
-    written.append(write_report(find_source(written[0])))
+    written.append(write_report(written[0]))
     names = [f"touch-{number}.npz" for number in range(1, len(found.touches) + 1)]
     written += [write_touch(folder / name, touch) for name, touch in zip(names, found.touches, strict=True)]
     script = _write_script(folder, localizer, found, names, prior)
-    return [*written, write_atomically(folder / SCRIPT, lambda temporary: temporary.write_text(script, "utf-8"))]
+    (folder / SCRIPT).write_text(script, "utf-8")
+    return [*written, folder / SCRIPT]
 
 
 def _name_copies(config: RunConfig) -> RunConfig:
@@ -124,7 +126,7 @@ def _copy_sensor(folder: Path, localizer: Localizer) -> str:
 
 
 def _copy(folder: Path, part: str, path: str) -> str:
-    """Copy a file or a folder into the folder `part`, and return the copy's path as Python. Raises OutputError."""
+    """Copy a file or a folder into the folder `part`, and return the copy's path as Python. Raises AppError."""
     source, name = Path(path).resolve(), _name_copy(part, path)
     try:
         (folder / part).mkdir(parents=True, exist_ok=True)
@@ -133,7 +135,7 @@ def _copy(folder: Path, part: str, path: str) -> str:
         else:
             shutil.copyfile(source, folder / name)
     except (OSError, shutil.Error) as error:
-        raise OutputError(f"{source.name} cannot be copied to {folder}; choose another folder") from error
+        raise AppError(f"{source.name} cannot be copied to {folder}; choose another folder") from error
     return f"HERE / {name!r}"
 
 

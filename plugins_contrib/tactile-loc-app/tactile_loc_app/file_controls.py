@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, get_args
 
-from tactile_loc.core.runtime.errors import fold_line
-from tactile_loc.core.sensing.depth_maps import METRES_PER_UNIT, DepthKind
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc import DepthKind, DepthUnit, Touch
+from tactile_loc.commands import fold_line
 
 from tactile_loc_app.markdown import Paragraph
 from tactile_loc_app.notices import Notices
@@ -40,7 +39,7 @@ class FileControls:
                 "sensor poses, upload a zip archive of their list (touches.toml) and its files. Or upload the files "
                 f"first, and then the list. At most {LARGEST_MB} MB each.",
             )
-            self.unit = gui.add_dropdown("Unit of depths", (IN_FILE, *METRES_PER_UNIT), initial_value=IN_FILE)
+            self.unit = gui.add_dropdown("Unit of depths", (IN_FILE, *get_args(DepthUnit)), initial_value=IN_FILE)
             self.kind = gui.add_dropdown("Depths are", (IN_FILE, *get_args(DepthKind)), initial_value=IN_FILE)
             self.file = gui.add_upload_button("Upload a touch or a list")
         self.file.on_upload(notices.guard(self._upload))

@@ -12,8 +12,8 @@ from threading import Lock
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.runtime.errors import ConfigError, MissingLibraryError
-from tactile_loc.reports.access import Access
+from tactile_loc.commands import Access
+from tactile_loc.plugin import ConfigError, MissingLibraryError
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from tactile_loc.core.runtime.errors import fold_line
+from tactile_loc.commands import fold_line
 
 if TYPE_CHECKING:
     from viser import ClientHandle

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.runtime.errors import TactileLocError, fold_line
+from tactile_loc import TactileLocError
+from tactile_loc.commands import fold_line
 
 if TYPE_CHECKING:
     from viser import ClientHandle

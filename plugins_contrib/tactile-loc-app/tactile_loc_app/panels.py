@@ -8,12 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
-from tactile_loc.core.runtime.formatting import format_mm, format_percent
-from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.meshes.mesh_files import Units
-from tactile_loc.locate.result.localization import Localization
-from tactile_loc.slots.registry import registry
+from tactile_loc import DEMO_OBJECTS, Localization, Units
+from tactile_loc.commands import format_mm, format_percent
+from tactile_loc.plugin import NoiseLevel, registry
 
 from tactile_loc_app.calibration_tab import CalibrationTab
 from tactile_loc_app.calibrator import MadeSensor
@@ -161,7 +158,7 @@ class Page:
             Paragraph(self.client, "Drag the arrows and rings. The finger moves along its axis onto the object.")
             self.depth = gui.add_slider("Press (mm)", 0.05, 2.0, 0.01, 0.5)
             self.shape = gui.add_image(EMPTY, label="Contact shape")
-            self.noise = gui.add_dropdown("Noise", tuple(NOISE), initial_value="none")
+            self.noise = gui.add_dropdown("Noise", get_args(NoiseLevel), initial_value="none")
             self.add = gui.add_button("Add this touch", color="blue")
             self.touches = Paragraph(self.client)
             self.chosen_touch = gui.add_dropdown("Touch", (NO_TOUCH,), visible=False)

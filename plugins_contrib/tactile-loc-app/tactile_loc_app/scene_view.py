@@ -6,19 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.core.geometry.rigid import (
-    invert,
-    make_transform,
-    make_translation,
-    quaternion_to_rotation,
-    rotation_to_quaternion,
-)
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.meshes.mesh_files import simplify_mesh
-from tactile_loc.locate.result.localization import Localization
-from tactile_loc.planning.next_touch import RatedApproach
+from tactile_loc import Localization, ObjectModel, RatedApproach, SensorGeometry, Touch, TriangleMesh, simplify_mesh
+from tactile_loc.plugin import invert, make_transform, make_translation, quaternion_to_rotation, rotation_to_quaternion
 from tactile_loc.reports.scene import trace_outlines_mm
 from tactile_loc.view.pose_panel import build_sensor_mm
 

@@ -11,10 +11,9 @@ from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.io.config import ObjectConfig, SlotConfig
-from tactile_loc.reports.access import EVERYWHERE, Access
-from tactile_loc.store.store import StageStore
+from tactile_loc import RunConfig, StageStore
+from tactile_loc.commands import Access
+from tactile_loc.plugin import ConfigError
 
 from tactile_loc_app.guarded_viser import require_viser, start_viser
 from tactile_loc_app.session import Session
@@ -31,22 +30,25 @@ HOST, PORT = "127.0.0.1", 8080
 class AppServer:
     """Serves the page until it is closed. `pages` are those of the visitors, by viser's number of the client.
 
-    Each visitor's files are kept in a temporary folder, which is removed when the visitor leaves. Raises
-    TactileLocError if the object or the sensor cannot be used, ConfigError for a wrong host or port, and
-    MissingLibraryError without viser.
+    `config` names the first object and sensor. Each visitor's files are kept in a temporary folder, which is removed
+    when the visitor leaves. Raises TactileLocError if the object or the sensor cannot be used, ConfigError for a wrong
+    host or port, and MissingLibraryError without viser.
     """
 
     def __init__(
-        self, chosen: ObjectConfig | None = None, sensor: SlotConfig | None = None, host: str = HOST, port: int = PORT,
+        self,
+        config: RunConfig | None = None,
+        host: str = HOST,
+        port: int = PORT,
         store: StageStore | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         require_viser()
         if not 0 <= port <= 65535:
             raise ConfigError(f"the port cannot be {port}; give a number from 0 to 65535")
         self._folder = tempfile.TemporaryDirectory(prefix="tactile-loc-app-", ignore_cleanup_errors=True)
         self.access = Access.at(host)
         self.localizers = SharedLocalizers(Path(self._folder.name), store)
-        self.chosen, self.sensor = chosen, sensor
+        self.config = config
         self.pages: dict[int, Page] = {}
         self._lock = Lock()
         self.new_session().close()  # raises here, not when the first visitor comes
@@ -62,11 +64,11 @@ class AppServer:
     @property
     def is_open(self) -> bool:
         """Whether other machines reach the page, under each of this machine's names."""
-        return self._server.get_host() in EVERYWHERE
+        return Access.is_everywhere(self._server.get_host())
 
     def new_session(self) -> Session:
         """Return the session of a new visitor."""
-        return Session(self.localizers, self.chosen, self.sensor)
+        return Session(self.localizers, self.config)
 
     def _welcome(self, client: ClientHandle) -> None:
         from tactile_loc_app.panels import Page

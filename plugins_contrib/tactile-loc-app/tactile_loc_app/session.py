@@ -6,32 +6,36 @@ import hashlib
 import itertools
 import shutil
 import tempfile
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.priors import GaussianPrior
-from tactile_loc.core.runtime.errors import ConfigError, ResultError, TouchError, UploadError
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, choose_sensor
-from tactile_loc.io.meshes.mesh_files import Units
-from tactile_loc.io.toml import read_toml
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.touch_files import is_list, read_observations
-from tactile_loc.planning.approaches import draw_approaches_to_modes
-from tactile_loc.planning.next_touch import RatedApproach, choose_next_touch
-from tactile_loc.tracking.pose_modes import PoseModes
+from tactile_loc import (
+    DEMO_OBJECTS,
+    ContactShape,
+    GaussianPrior,
+    Localization,
+    Localizer,
+    ObjectModel,
+    PoseModes,
+    RatedApproach,
+    RunConfig,
+    SensorGeometry,
+    Touch,
+    Units,
+    choose_next_touch,
+    draw_approaches_to_modes,
+    localize_together,
+    read_observations,
+)
+from tactile_loc.plugin import ConfigError, Scene, TouchError, make_transform, rotation_about
 
 from tactile_loc_app.calibrator import Calibrator
 from tactile_loc_app.chosen_camera import ChosenCamera
+from tactile_loc_app.errors import AppError
 from tactile_loc_app.export import write_export
 from tactile_loc_app.shared_localizers import SharedLocalizers
 from tactile_loc_app.uploads import is_archive, unpack_upload, write_upload
@@ -60,11 +64,8 @@ class Session:
     session is closed.
     """
 
-    def __init__(
-        self, localizers: SharedLocalizers, chosen: ObjectConfig | None = None, sensor: SlotConfig | None = None,
-        seed: int = 0,
-    ) -> None:  # fmt: skip
-        """Raises TactileLocError if the object or the sensor cannot be used."""
+    def __init__(self, localizers: SharedLocalizers, config: RunConfig | None = None, seed: int = 0) -> None:
+        """Begin with the object and the sensor that `config` names. Raises TactileLocError if they cannot be used."""
         self.localizers = localizers
         self.rng = np.random.default_rng(seed)
         self.folder = Path(tempfile.mkdtemp(dir=localizers.folder, prefix="visitor-"))
@@ -72,7 +73,7 @@ class Session:
         self.inbox.mkdir()
         self.calibrator = Calibrator(self.folder / "calibration", localizers.store)
         self.camera = ChosenCamera()
-        self._begin(localizers.get(chosen or ObjectConfig(), sensor or RunConfig().sensor))
+        self._begin(localizers.get(config or RunConfig()))
 
     def _begin(self, localizer: Localizer) -> None:
         self.localizer = localizer
@@ -107,8 +108,7 @@ class Session:
 
     def load_object(self, path: str | Path, units: Units = "auto") -> None:
         """Take another object: a mesh file or a demo object. Raises TactileLocError if it cannot be used."""
-        chosen = ObjectConfig(path=str(path), units=units)
-        self._begin(self.localizers.get(chosen, self.localizer.config.sensor))
+        self._choose(object={"path": str(path), "units": units})
 
     def upload_object(self, name: str, content: bytes, units: Units = "auto") -> None:
         """Take another object from the content of a mesh file. Raises TactileLocError if it cannot be used."""
@@ -128,7 +128,11 @@ class Session:
 
     def choose_sensor(self, sensor: str) -> None:
         """Take another sensor: a name, a .toml file or a calibration folder. Raises TactileLocError for bad input."""
-        self._begin(self.localizers.get(self.localizer.config.object, choose_sensor(sensor)))
+        self._choose(sensor=sensor)
+
+    def _choose(self, **settings: Any) -> None:
+        chosen = self.localizer.config.model_dump(include={"object", "sensor"})
+        self._begin(self.localizers.get(RunConfig.from_dict({**chosen, **settings}, "the page")))
 
     # the virtual finger
 
@@ -169,7 +173,7 @@ class Session:
         before. Raises TactileLocError for bad input.
         """
         path = self._unpack_list(name, content) if is_archive(name) else write_upload(self.inbox, name, content)
-        if is_list(path):
+        if path.suffix.lower() == ".toml":
             read = self._read_list(path)
             self.clear_touches()
         else:
@@ -178,18 +182,16 @@ class Session:
         return read
 
     def _unpack_list(self, name: str, content: bytes) -> Path:
-        """Unpack an archive into an own folder, and return the path of its list. Raises UploadError."""
+        """Unpack an archive into an own folder, and return the path of its list. Raises AppError."""
         folder = Path(tempfile.mkdtemp(dir=self.folder, prefix="archive-"))
         lists = [path for path in unpack_upload(folder, name, content) if path.name == LIST]
         if len(lists) != 1:
-            raise UploadError(
-                f"{name} holds {len(lists)} files {LIST}; it must hold one, with the touches that it names"
-            )
+            raise AppError(f"{name} holds {len(lists)} files {LIST}; it must hold one, with the touches that it names")
         return lists[0]
 
     def _read_list(self, path: Path) -> tuple[Touch, ...]:
         """Read a list of uploaded touches of the chosen sensor. Raises TactileLocError for bad input."""
-        _require_own_files(read_toml(path))
+        _require_own_files(path)
         observations = read_observations(self.localizer, path)
         if any(localizer is not self.localizer for localizer, _ in observations):
             raise TouchError("the list names another sensor than the chosen one; remove its `sensor`, or choose it")
@@ -198,7 +200,7 @@ class Session:
     def take_camera_touch(self, source: str) -> Touch:
         """Add the touch in the newest frame of a camera, a video or a folder, and return it: see `ChosenCamera`.
 
-        Raises SourceError if there is no frame, and TouchError if the sensor cannot read it as a touch.
+        Raises AppError if there is no frame, and TouchError if the sensor cannot read it as a touch.
         """
         touch = self.camera.take(source).read_touch(self.localizer.sensor)
         self.touches = (*self.touches, touch)
@@ -238,20 +240,20 @@ class Session:
     def export(self, folder: Path) -> list[Path]:
         """Write the result, its report, and a Python script with all its files; return the paths: see `write_export`.
 
-        Raises ResultError without a result, and OutputError if a file cannot be written.
+        Raises AppError without a result, and AppError if a file cannot be written.
         """
         return write_export(folder, self.localizer, self.require_result(), self.prior)
 
     def require_result(self) -> Localization:
-        """Return the result. Raises ResultError if the object was not located yet."""
+        """Return the result. Raises AppError if the object was not located yet."""
         if self.result is None:
-            raise ResultError("there is no result yet; locate the object first")
+            raise AppError("there is no result yet; locate the object first")
         return self.result
 
     def predict(self, number: int, touch: int) -> tuple[ContactShape, ContactShape, SensorGeometry]:
         """Return the observed contact shape of a touch, the one that a hypothesis predicts, and their geometry.
 
-        Hypotheses and touches are numbered from 0. Raises ResultError without a result.
+        Hypotheses and touches are numbered from 0. Raises AppError without a result.
         """
         found = self.require_result()
         view = found.make_views()[touch]
@@ -262,7 +264,7 @@ class Session:
     def suggest_next(self) -> RatedApproach:
         """Return the approach, of some around the object, that tells most about its pose.
 
-        Raises ResultError without a result, and ConfigError if no approach is within reach.
+        Raises AppError without a result, and ConfigError if no approach is within reach.
         """
         modes = PoseModes.of(self.require_result())
         return choose_next_touch(modes, draw_approaches_to_modes(modes, APPROACHES, self.rng)).best
@@ -287,8 +289,12 @@ def _require_pose(touch: Touch) -> Pose:
     return touch.T_base_sensor
 
 
-def _require_own_files(values: dict[str, Any]) -> None:
+def _require_own_files(path: Path) -> None:
     """Raise ConfigError if a list of touches names a file outside its folder, or a sensor by a path."""
+    try:
+        values = tomllib.loads(path.read_text("utf-8-sig"))
+    except ValueError as error:
+        raise ConfigError(f"{path.name} cannot be read as TOML ({error}); correct the list") from error
     tables = values.get("touch")
     tables = [values, *(tables if isinstance(tables, list) else [])]
     for table in (table for table in tables if isinstance(table, dict)):

@@ -9,12 +9,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
-from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.stored_object import load_stored_object
-from tactile_loc.store.store import StageStore
+from tactile_loc import Localizer, RunConfig, StageStore
+from tactile_loc.plugin import Progress
 
 
 class SharedLocalizers:
@@ -30,20 +28,21 @@ class SharedLocalizers:
         self._in_use: defaultdict[int, Lock] = defaultdict(Lock)
         self._lock = Lock()
 
-    def get(self, chosen: ObjectConfig, sensor: SlotConfig) -> Localizer:
-        """Return the localizer of an object and a sensor, with the default components.
+    def get(self, config: RunConfig) -> Localizer:
+        """Return the localizer of the object and the sensor that `config` names, with the default components.
 
         Raises TactileLocError if the object or the sensor cannot be used.
         """
-        obj = load_stored_object(chosen.path, chosen.units, chosen.symmetry, self.store)
+        chosen, sensor = config.object, config.sensor.model_dump()
+        parts: dict[str, Any] = {"units": chosen.units, "symmetry": chosen.symmetry, "sensor": sensor}
+        made = Localizer.create(chosen.path, store=self.store, **parts)
+        obj = made.object
         if Path(chosen.path).is_relative_to(self.folder):  # an upload, whose folder means nothing to people
             obj = replace(obj, source=Path(chosen.path).name)
-        settings = {"object": chosen.model_dump(), "sensor": sensor.model_dump()}
-        key = json.dumps([obj.describe(), settings], sort_keys=True)
+        key = json.dumps([obj.describe(), chosen.path, parts], sort_keys=True)
         with self._lock:
             if key not in self._known:
-                config = RunConfig.from_dict(settings, "the page")
-                self._known[key] = Localizer(config, obj, self.store, Progress())
+                self._known[key] = Localizer(made.config, obj, self.store, Progress())
             return self._known[key]
 
     @contextmanager

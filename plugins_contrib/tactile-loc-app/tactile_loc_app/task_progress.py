@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.plugin import Progress
+
+from tactile_loc_app.errors import AppError
 
 EVERY_S = 0.2  # least time between two updates of the page
 
@@ -23,13 +24,13 @@ class TaskProgress(Progress):
 
     @contextmanager
     def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Open a task of `total` steps. The yielded function raises CalibrationError if the work is unwanted."""
+        """Open a task of `total` steps. The yielded function raises AppError if the work is unwanted."""
         self._task, self._done, self._total, self._shown_s = description, 0, max(total, 1), 0.0
         yield self._advance
 
     def _advance(self, steps: int) -> None:
         if not self._is_wanted():
-            raise CalibrationError("the calibration was stopped; calibrate again")
+            raise AppError("the calibration was stopped; calibrate again")
         self._done += steps
         now_s = time.monotonic()
         if self._show is not None and now_s - self._shown_s > EVERY_S:

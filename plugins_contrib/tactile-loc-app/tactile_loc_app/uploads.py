@@ -6,13 +6,12 @@ import io
 import re
 import stat
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.runtime.errors import UploadError
-from tactile_loc.store.archives import read_member
-from tactile_loc.store.files import write_atomically
+from tactile_loc_app.errors import AppError
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -26,10 +25,10 @@ DRIVE = re.compile("[A-Za-z]:")
 HIDDEN = "__MACOSX"  # a folder that macOS adds to archives
 MOST_RUNNING, LEAST_PART = 16, 2**16  # uploads of a visitor at once; bytes of the parts of an upload, on average
 MOST_ENTRIES, ENTRY = 10 * MOST_FILES, b"PK\x01\x02"  # all of an archive, with folders and hidden files; how one begins
-DAMAGED = (zipfile.BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError, ValueError)
+DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, NotImplementedError, ValueError)
 
 
-def limit_uploads(client: ClientHandle, show_error: Callable[[UploadError], None]) -> None:
+def limit_uploads(client: ClientHandle, show_error: Callable[[AppError], None]) -> None:
     """Drop a visitor's uploads that are too large, by their stated sizes and before they are kept.
 
     All uploads that are running together may have LARGEST_MB. One that has more than it stated is dropped, too.
@@ -44,8 +43,8 @@ def limit_uploads(client: ClientHandle, show_error: Callable[[UploadError], None
             names = " with ".join([start.filename, *(one["filename"] for one in running.values())])
             require_size(names, start.size_bytes + sum(one["total_bytes"] for one in running.values()))
             if len(running) >= MOST_RUNNING or not 0 <= LEAST_PART * (max(start.part_count, 1) - 1) <= start.size_bytes:
-                raise UploadError(f"{start.filename} cannot be uploaded in this way; upload fewer files at once")
-        except UploadError as error:
+                raise AppError(f"{start.filename} cannot be uploaded in this way; upload fewer files at once")
+        except AppError as error:
             whole = (start.source_component_uuid, start.transfer_uuid, start.size_bytes, start.size_bytes)
             connection.queue_message(_messages.FileTransferPartAck(*whole))  # the browser stops waiting
             show_error(error)
@@ -56,7 +55,7 @@ def limit_uploads(client: ClientHandle, show_error: Callable[[UploadError], None
         state = running.get(part.transfer_uuid)
         if state is not None and state["transferred_bytes"] + len(part.content) > state["total_bytes"]:
             del running[part.transfer_uuid]
-            show_error(UploadError(f"{state['filename']} has more bytes than the browser stated; upload it again"))
+            show_error(AppError(f"{state['filename']} has more bytes than the browser stated; upload it again"))
         else:
             gui._handle_file_transfer_part(client_id, part)
 
@@ -75,12 +74,12 @@ def take_upload(button: Any) -> tuple[str, bytes]:
 def write_upload(folder: Path, name: str, content: bytes) -> Path:
     """Write an uploaded file into a folder, and return its path. Only the last part of its name is used.
 
-    Raises UploadError if the file is too large or has no name, and OutputError if it cannot be written.
+    Raises AppError if the file is too large or has no name, and AppError if it cannot be written.
     """
     require_size(name, len(content))
     plain = _find_plain_name(name)
     if not plain or plain.startswith(".") or "\0" in plain or len(plain.encode()) > LONGEST_PLAIN:
-        raise UploadError(f"a file cannot be called {name[:LONGEST_PLAIN]!r}; give it another name")
+        raise AppError(f"a file cannot be called {name[:LONGEST_PLAIN]!r}; give it another name")
     return _write(folder / plain, content)
 
 
@@ -90,13 +89,18 @@ def _find_plain_name(name: str) -> str:
 
 
 def _write(path: Path, content: bytes) -> Path:
-    return write_atomically(path, lambda temporary: temporary.write_bytes(content))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    except OSError as error:
+        raise AppError(f"{path.name} cannot be kept ({error.strerror or error}); upload it again") from error
+    return path
 
 
 def require_size(name: str, size: int) -> None:
-    """Raise UploadError if files of a size, bytes, are larger than LARGEST_MB."""
+    """Raise AppError if files of a size, bytes, are larger than LARGEST_MB."""
     if size > LARGEST_MB * MB:
-        raise UploadError(f"{name} has {size / MB:.0f} MB; the limit is {LARGEST_MB} MB, so upload less at once")
+        raise AppError(f"{name} has {size / MB:.0f} MB; the limit is {LARGEST_MB} MB, so upload less at once")
 
 
 def is_archive(name: str) -> bool:
@@ -107,7 +111,7 @@ def is_archive(name: str) -> bool:
 def read_files(name: str, content: bytes) -> Iterator[tuple[PurePosixPath, bytes]]:
     """Yield the path and the content of each file in an upload: those of a zip archive, or the one file itself.
 
-    Paths in an archive are relative and stay inside it. Hidden files are left out. Raises UploadError if the upload or
+    Paths in an archive are relative and stay inside it. Hidden files are left out. Raises AppError if the upload or
     what it unpacks to is too large, if the archive is damaged, or if a path leads out of it.
     """
     require_size(name, len(content))
@@ -115,38 +119,49 @@ def read_files(name: str, content: bytes) -> Iterator[tuple[PurePosixPath, bytes
         yield PurePosixPath(_find_plain_name(name)), content
         return
     if content.count(ENTRY) > MOST_ENTRIES:  # reading their names takes much memory
-        raise UploadError(f"{name} has more than {MOST_ENTRIES} entries; the limit is {MOST_FILES} files")
+        raise AppError(f"{name} has more than {MOST_ENTRIES} entries; the limit is {MOST_FILES} files")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             for member, path in _check_members(name, archive.infolist()):
-                yield path, read_member(archive, member)
+                yield path, _read_member(archive, member)
     except DAMAGED as error:
-        raise UploadError(
+        raise AppError(
             f"{name} cannot be read as a zip archive ({error}); pack it again, without a password"
         ) from error
 
 
 def _check_members(name: str, members: list[zipfile.ZipInfo]) -> list[tuple[zipfile.ZipInfo, PurePosixPath]]:
-    """Return the files of an archive with their paths. Raises UploadError before anything is unpacked."""
+    """Return the files of an archive with their paths. Raises AppError before anything is unpacked."""
     paths = [(member, PurePosixPath(member.filename.replace("\\", "/"))) for member in members if not member.is_dir()]
     shown = [(member, path) for member, path in paths if not _is_hidden(path)]
     for member, path in shown:
         if path.is_absolute() or not path.parts or ".." in path.parts or DRIVE.match(path.parts[0]):
-            raise UploadError(f"{name} holds the path {str(path)!r}, which leads out of the archive; pack it again")
+            raise AppError(f"{name} holds the path {str(path)!r}, which leads out of the archive; pack it again")
         if "\0" in member.orig_filename or stat.S_ISLNK(member.external_attr >> 16):
-            raise UploadError(f"{name} holds {member.orig_filename!r}, which is no plain file; leave it out")
+            raise AppError(f"{name} holds {member.orig_filename!r}, which is no plain file; leave it out")
         require_size(f"{path} in {name}", member.file_size)
     if len({path for _, path in shown}) < len(shown):
-        raise UploadError(f"{name} holds two files of the same name; pack it again")
+        raise AppError(f"{name} holds two files of the same name; pack it again")
     total_mb = sum(member.file_size for member, _ in shown) / MB
     if total_mb > UNPACKED_MB or len(shown) > MOST_FILES:
-        raise UploadError(
+        raise AppError(
             f"{name} unpacks to {len(shown)} files of {total_mb:.0f} MB; the limits are {MOST_FILES} files and "
             f"{UNPACKED_MB} MB, so upload less at once"
         )
     if not shown:
-        raise UploadError(f"{name} holds no file; pack the files again")
+        raise AppError(f"{name} holds no file; pack the files again")
     return shown
+
+
+def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Return the content of an archive's file. Raises ValueError if it is damaged or could unpack without a limit."""
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{member.filename!r} in it is neither stored nor deflated")
+    with archive.open(member) as stream:
+        content = stream.read(member.file_size + 1)
+    if len(content) != member.file_size:
+        raise ValueError(f"{member.filename!r} in it has another size than it states")
+    return content
 
 
 def _is_hidden(path: PurePosixPath) -> bool:
@@ -156,6 +171,6 @@ def _is_hidden(path: PurePosixPath) -> bool:
 def unpack_upload(folder: Path, name: str, content: bytes) -> list[Path]:
     """Write the files of an upload into a folder, with their folders, and return their paths.
 
-    Raises UploadError as `read_files`, and OutputError if a file cannot be written.
+    Raises AppError as `read_files`, and AppError if a file cannot be written.
     """
     return [_write(folder / path, data) for path, data in read_files(name, content)]

@@ -7,16 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.runtime.errors import NoContactError
-from tactile_loc.core.sensing.noise import make_noise
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.io.config import EXACT
-from tactile_loc.simulate.touch_simulation import PressNoise
-from tactile_loc.slots.registry import registry
+from tactile_loc import ContactShape, SensorGeometry, Touch, make_noise, press_touch
+from tactile_loc.plugin import Scene, invert, registry
 
+INDEPENDENT = "zbuffer"  # the renderer of touches; it is not the one that locates them
 PREVIEW_PX = 72  # pixels along the long side of the contact shape that is shown while the finger moves
 
 Pose = NDArray[np.float64]
@@ -77,12 +71,5 @@ def make_touch(
     NoContactError if the finger misses the object, TouchError if it shows only a flat face, and ConfigError for another
     noise.
     """
-    scene = dataclasses.replace(scene, renderer=registry().create("renderer", EXACT.name, EXACT.options))
-    T, touching = scene.bring_to_contact(invert(T_base_sensor)[None])
-    if not touching[0]:
-        raise NoContactError("the finger misses the object; turn or move it so that its z axis meets the object")
-    presses = PressNoise.of(scene, rng, depth_m, make_noise(noise))
-    poses, (shape,) = presses.press(T, least_percent=0.0)
-    if shape is None:
-        raise NoContactError("noise hides the contact; press deeper, or choose less noise")
-    return Touch(shape, scene.geometry, name, T_base_sensor=invert(poses[0]), T_sensor_object=poses[0])
+    scene = dataclasses.replace(scene, renderer=registry().create("renderer", INDEPENDENT, {}))
+    return press_touch(scene, T_base_sensor, depth_m, name, make_noise(noise), rng)

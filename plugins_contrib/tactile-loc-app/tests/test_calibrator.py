@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from press_sets import BALL_M, MM, TINY, ball_set
-from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError, UploadError
-from tactile_loc.io.config import ObjectConfig
+from tactile_loc import RunConfig, StageStore, TactileLocError
 from tactile_loc.io.images import encode_png
 from tactile_loc.sensors.calibration.folder import read_calibration
-from tactile_loc.store.store import StageStore
 from test_uploads import pack
 
 from tactile_loc_app.calibrator import Calibrator
+from tactile_loc_app.errors import AppError
 from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers
 from tactile_loc_app.task_progress import TaskProgress
@@ -52,7 +51,7 @@ def test_photos_come_one_by_one_or_in_an_archive(filled):
     assert filled.names == sorted(list_photos())
     filled.remove_photo("newer.png")
     assert (filled.reference, len(filled.names)) == (None, 7)
-    with pytest.raises(UploadError):
+    with pytest.raises(AppError):
         filled.remove_photo("../other.png")
     filled.clear()
     assert (filled.reference, filled.names) == (None, [])
@@ -76,9 +75,9 @@ def test_a_file_that_cannot_be_used_changes_nothing(filled, name, content):
 
 
 def test_the_photo_without_contact_has_an_own_name(filled):
-    with pytest.raises(UploadError):
+    with pytest.raises(AppError):
         filled.set_reference("ball-0.png", encode_png(BALLS.background))
-    with pytest.raises(CalibrationError):
+    with pytest.raises(AppError):
         filled.set_reference("other.png", b"no photo")
     assert filled.reference == UNTOUCHED
 
@@ -95,7 +94,7 @@ def test_impossible_names_and_lengths_are_refused(filled, name, diameter_mm, sca
 
 
 def test_photos_are_needed(calibrator):
-    with pytest.raises(CalibrationError):
+    with pytest.raises(AppError):
         calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
 
 
@@ -104,13 +103,13 @@ def test_a_photo_without_contact_that_shows_a_press_is_refused(calibrator):
     photos = list_photos()
     calibrator.set_reference("press.png", photos.pop("ball-0.png"))
     calibrator.add_photos("rest.zip", pack({**photos, "gel.png": encode_png(BALLS.background)}))
-    with pytest.raises(CalibrationError, match=r"press\.png"):
+    with pytest.raises(AppError, match=r"press\.png"):
         calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
 
 
 def test_a_calibration_ends_when_its_visitor_leaves(filled):
     filled.stop()
-    with pytest.raises(CalibrationError):
+    with pytest.raises(AppError):
         filled.calibrate("mine", DIAMETER_MM, MM_PER_PX)
 
 
@@ -128,7 +127,7 @@ def test_progress_is_shown_as_a_share():
 def test_photos_become_a_sensor_that_locates_photos(tmp_path, store):
     pytest.importorskip("torch")
     (tmp_path / "visitors").mkdir()
-    session = Session(SharedLocalizers(tmp_path / "visitors", store), ObjectConfig(path="pin"))
+    session = Session(SharedLocalizers(tmp_path / "visitors", store), RunConfig.from_dict({"object": {"path": "pin"}}))
     calibrator = session.calibrator
     calibrator.options = TINY
     calibrator.set_reference(UNTOUCHED, encode_png(BALLS.background))

@@ -6,7 +6,7 @@ import logging
 import threading
 
 import pytest
-from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.plugin import TouchError
 
 from tactile_loc_app.notices import Notices, hide_folder, name_controls
 

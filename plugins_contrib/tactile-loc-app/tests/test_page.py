@@ -15,14 +15,10 @@ import numpy as np
 import pytest
 import trimesh
 from press_sets import BALL_M, MM, TINY, ball_set
-from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
-from tactile_loc.core.runtime.errors import ConfigError, MissingLibraryError, ObjectError
-from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc import ContactShape, RunConfig, StageStore, write_touch
+from tactile_loc.core.runtime.errors import ObjectError
 from tactile_loc.io.images import encode_png
-from tactile_loc.io.touches import write_touch
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import ConfigError, MissingLibraryError, draw_rotations, make_transform, registry
 from test_uploads import pack
 
 from tactile_loc_app.follower import Follower
@@ -32,7 +28,8 @@ from tactile_loc_app.scene_view import choose_magnification, from_view, measure_
 if TYPE_CHECKING:
     from tactile_loc_app.panels import Page
 
-PIN, MINI = ObjectConfig(path="pin"), SlotConfig(name="gelsight-mini")
+MINI = "gelsight-mini"
+CONFIG = RunConfig.from_dict({"object": {"path": "pin"}, "sensor": MINI})
 
 
 def test_poses_of_the_view_are_those_of_the_session():
@@ -62,7 +59,7 @@ def test_a_photo_is_scaled_to_its_neighbour():
 
 
 def test_the_picture_of_a_shape_shows_contact():
-    geometry = registry().create("sensor", MINI.name, {}).geometry.resize_long_side(72)
+    geometry = registry().create("sensor", MINI, {}).geometry.resize_long_side(72)
     depth = np.full(geometry.shape, 1e-3, np.float32)
     depth[20:30, 30:50] = 0
     picture = paint_wide(ContactShape(depth, 1e-3), geometry)
@@ -99,9 +96,9 @@ def test_the_server_refuses_a_wrong_object_and_port_before_it_starts(tmp_path):
     from tactile_loc_app.server import AppServer
 
     with pytest.raises(ObjectError):
-        AppServer(ObjectConfig(path="missing.stl"), store=StageStore(tmp_path))
+        AppServer(RunConfig.from_dict({"object": {"path": "missing.stl"}}), store=StageStore(tmp_path))
     with pytest.raises(ConfigError):
-        AppServer(PIN, port=70000, store=StageStore(tmp_path))
+        AppServer(CONFIG, port=70000, store=StageStore(tmp_path))
 
 
 def test_without_viser_the_message_names_it(monkeypatch):
@@ -137,7 +134,7 @@ def test_names_in_files_are_shown_literally(tmp_path, store):
     table = "[[touch]]\npath = '{}'\n"
     (tmp_path / "bad.zip").write_bytes(pack({"touches.toml": table.format("<b>missing.npz").encode()}))
     (tmp_path / "link.zip").write_bytes(pack({f"../{hostile()}": b""}))
-    with AppServer(PIN, MINI, port=0, store=store) as server:
+    with AppServer(CONFIG, port=0, store=store) as server:
         session = server.new_session()
         touch = write_touch(tmp_path / "touch.npz", session.add_touch()).read_bytes()
         session.close()
@@ -186,7 +183,7 @@ def test_visitors_press_locate_and_export(tmp_path, store):
     require_browser()
     from tactile_loc_app.server import AppServer
 
-    with AppServer(PIN, MINI, port=0, store=store) as server:
+    with AppServer(CONFIG, port=0, store=store) as server:
         visitor = program.Visitor(server.url, tmp_path)
         other = program.Visitor(server.url, tmp_path)
         try:
@@ -236,7 +233,7 @@ def test_visitors_press_locate_and_export(tmp_path, store):
             assert theirs.units.value == "cm"
             calibrate_in_the_page(other, theirs, tmp_path)
             assert theirs.session.localizer.config.sensor.name == "calibrated"
-            assert mine.session.localizer.config.sensor.name == MINI.name
+            assert mine.session.localizer.config.sensor.name == MINI
             own = [page.session.folder for page in (mine, theirs)]
             assert all(folder.is_dir() for folder in own)
         finally:

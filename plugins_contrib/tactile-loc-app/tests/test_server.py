@@ -12,18 +12,19 @@ from socket import SO_RCVBUF, SOL_SOCKET
 from typing import Any
 
 import pytest
+from tactile_loc import RunConfig
 
 pytest.importorskip("viser")
 
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc.plugin import ConfigError
 from web_visitor import CAMERA, ask, idle_sockets, open_socket, send, visit
 
 from tactile_loc_app.guarded_viser import MOST_CONNECTIONS
 from tactile_loc_app.server import AppServer
 from tactile_loc_app.uploads import LARGEST_MB, MB, MOST_RUNNING
 
-PIN, MINI = ObjectConfig(path="pin"), SlotConfig(name="gelsight-mini")
+MINI = "gelsight-mini"
+CONFIG = RunConfig.from_dict({"object": {"path": "pin"}, "sensor": MINI})
 
 
 def wait_until(is_done: Callable[[], Any]) -> Any:
@@ -36,7 +37,7 @@ def wait_until(is_done: Callable[[], Any]) -> Any:
 
 @pytest.fixture(scope="module")
 def server(store) -> Iterator[AppServer]:
-    with AppServer(PIN, MINI, port=0, store=store) as server:
+    with AppServer(CONFIG, port=0, store=store) as server:
         yield server
 
 
@@ -64,7 +65,7 @@ def test_the_page_connects_to_no_other_server(port):
 
 
 def test_other_machines_need_the_token(store):
-    with AppServer(PIN, MINI, host="0.0.0.0", port=0, store=store) as server:
+    with AppServer(CONFIG, host="0.0.0.0", port=0, store=store) as server:
         port = server._server.get_port()
         path = server.url.partition(str(port))[2]
         assert [ask(port)[0], ask(port, "/?token=wrong")[0], open_socket(port)] == [403, 403, 403]
@@ -80,7 +81,7 @@ def test_other_machines_need_the_token(store):
 def test_a_host_of_another_machine_is_an_error(store):
     for host in ("203.0.113.7", "nowhere.invalid", ""):
         with pytest.raises(ConfigError):
-            AppServer(PIN, MINI, host=host, store=store)
+            AppServer(CONFIG, host=host, store=store)
 
 
 def test_messages_that_the_page_never_sends_reach_nobody(server, port, caplog):

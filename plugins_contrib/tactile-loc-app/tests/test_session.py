@@ -9,29 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from tactile_loc.core.geometry.rigid import make_translation
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.runtime.errors import (
-    ConfigError,
-    NoContactError,
-    ObjectError,
-    ResultError,
-    SourceError,
-    TouchError,
-    UploadError,
-)
-from tactile_loc.io.config import ObjectConfig, SlotConfig
+from tactile_loc import Localization, NoContactError, PoseMetric, RunConfig, StageStore, TactileLocError, write_touch
+from tactile_loc.core.runtime.errors import ObjectError
 from tactile_loc.io.images import encode_png
-from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.result.localization import Localization
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import ConfigError, TouchError, make_translation
 from test_uploads import pack
 
+from tactile_loc_app.errors import AppError
 from tactile_loc_app.export import _copy, _copy_object, _name_copies
 from tactile_loc_app.session import Session, list_poses, place_above
 from tactile_loc_app.shared_localizers import SharedLocalizers
 
-SENSOR = SlotConfig(name="gelsight-mini")
+CONFIG = RunConfig.from_dict({"object": {"path": "pin"}, "sensor": "gelsight-mini"})
 DEPTH_M = 8e-4
 AT_CORNER = make_translation([0.014, 0.009, 0])  # of the block
 
@@ -43,13 +32,13 @@ def localizers(tmp_path_factory) -> SharedLocalizers:
 
 @pytest.fixture
 def session(localizers) -> Session:
-    return Session(localizers, ObjectConfig(path="pin"), SENSOR)
+    return Session(localizers, CONFIG)
 
 
 @pytest.fixture(scope="module")
 def located(localizers) -> Session:
     """A session with a result from two touches of the pin, the second on its side."""
-    session = Session(localizers, ObjectConfig(path="pin"), SENSOR)
+    session = Session(localizers, CONFIG)
     session.press(session.T_base_sensor, DEPTH_M)
     session.add_touch()
     session.locate()
@@ -125,12 +114,12 @@ def test_a_touch_is_removed_with_the_result_and_its_name_is_free_again(session, 
 def test_nothing_is_located_without_a_touch(session):
     with pytest.raises(TouchError):
         session.locate()
-    with pytest.raises(ResultError):
+    with pytest.raises(AppError):
         session.suggest_next()
 
 
 def test_two_sessions_do_not_disturb_each_other_but_share_a_localizer(located, localizers):
-    other = Session(localizers, ObjectConfig(path="pin"), SENSOR)
+    other = Session(localizers, CONFIG)
     assert other.localizer is located.localizer
     assert (other.touches, other.result, len(located.touches)) == ((), None, 2)
     other.load_object("head")
@@ -221,8 +210,8 @@ def test_a_list_and_its_files_come_in_one_archive(session):
 @pytest.mark.parametrize(
     ("files", "error"),
     [
-        ({"a.npy": b""}, UploadError),
-        ({"touches.toml": LISTED.encode(), "b/touches.toml": LISTED.encode()}, UploadError),
+        ({"a.npy": b""}, AppError),
+        ({"touches.toml": LISTED.encode(), "b/touches.toml": LISTED.encode()}, AppError),
         ({"touches.toml": LISTED.encode()}, TouchError),
         ({"touches.toml": b"no list"}, ConfigError),
         ({"touches.toml": b'[[touch]]\npath = "../../a.npy"\n'}, ConfigError),
@@ -247,14 +236,14 @@ def test_a_camera_needs_a_calibrated_sensor(session, tmp_path):
     (tmp_path / "photo.png").write_bytes(encode_png(np.full((60, 80, 3), 90, np.uint8)))
     with pytest.raises(TouchError):
         session.take_camera_touch(str(tmp_path))
-    with pytest.raises(SourceError):
+    with pytest.raises(TactileLocError):
         session.take_camera_touch(str(tmp_path / "missing"))
     assert session.touches == ()
 
 
 def test_a_closed_session_leaves_no_files_and_no_localizer(localizers):
     before = set(localizers.folder.iterdir())
-    own = Session(localizers, ObjectConfig(path="pin"), SENSOR)
+    own = Session(localizers, CONFIG)
     own.upload_object("block.stl", make_block(), "mm")
     mesh = own.localizer.config.object.path
     assert mesh.startswith(str(own.folder))
@@ -277,7 +266,7 @@ def test_a_prior_needs_the_pose_of_the_sensor(session):
 
 
 def test_a_prior_moves_the_probability_to_the_poses_near_it(located, localizers):
-    session = Session(localizers, ObjectConfig(path="pin"), SENSOR)
+    session = Session(localizers, CONFIG)
     session.touches = located.touches[:1]
     far_m = 1e3  # standard deviation that says nothing
     session.set_prior(np.eye(4), far_m, far_m)

@@ -7,9 +7,9 @@ import stat
 import zipfile
 
 import pytest
-from tactile_loc.core.runtime.errors import UploadError
 
 from tactile_loc_app import uploads
+from tactile_loc_app.errors import AppError
 from tactile_loc_app.uploads import read_files, unpack_upload, write_upload
 
 
@@ -28,16 +28,16 @@ def test_an_uploaded_file_stays_in_its_folder(tmp_path, name):
 
 @pytest.mark.parametrize("name", ["", "..", "a/..", "a\0b.stl", ".a.stl", "ö" * 126 + ".stl"])
 def test_an_upload_needs_a_name_that_files_can_have(tmp_path, name):
-    with pytest.raises(UploadError):
+    with pytest.raises(AppError):
         write_upload(tmp_path, name, b"x")
 
 
 def test_a_large_file_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(uploads, "LARGEST_MB", 1)
     assert write_upload(tmp_path, "part.stl", bytes(1_000_000)).stat().st_size == 1_000_000
-    with pytest.raises(UploadError, match="1 MB"):
+    with pytest.raises(AppError, match="1 MB"):
         write_upload(tmp_path, "other.stl", bytes(1_000_001))
-    with pytest.raises(UploadError):
+    with pytest.raises(AppError):
         list(read_files("many.zip", bytes(1_000_001)))
     assert not (tmp_path / "other.stl").exists()
 
@@ -68,34 +68,34 @@ def test_an_entry_that_is_no_plain_file_is_refused(tmp_path, entry):
         for one in entry:
             archive.writestr(one, b"23")
     content = file.getvalue().replace(b"zero_byte", b"zero\0byte")
-    with pytest.raises(UploadError):
+    with pytest.raises(AppError):
         unpack_upload(tmp_path / "in", "some.zip", content)
     assert not list(tmp_path.rglob("*"))
 
 
 def test_one_file_of_an_archive_is_as_small_as_an_upload(tmp_path, monkeypatch):
     monkeypatch.setattr(uploads, "LARGEST_MB", 1)
-    with pytest.raises(UploadError, match="1 MB"):
+    with pytest.raises(AppError, match="1 MB"):
         unpack_upload(tmp_path / "in", "some.zip", pack({"large.txt": bytes(1_000_001)}))
 
 
 def test_names_of_too_many_entries_are_not_read(monkeypatch):
     monkeypatch.setattr(uploads, "MOST_ENTRIES", 3)
     monkeypatch.setattr(zipfile, "ZipFile", None)
-    with pytest.raises(UploadError, match="3"):
+    with pytest.raises(AppError, match="3"):
         list(read_files("some.zip", b"PK\x01\x02" * 4))
 
 
 def test_a_stated_size_that_is_wrong_is_refused(tmp_path):
     content = pack({"a.txt": bytes(500)})
     assert content.count((500).to_bytes(4, "little")) == 2
-    with pytest.raises(UploadError):
+    with pytest.raises(AppError):
         unpack_upload(tmp_path, "some.zip", content.replace((500).to_bytes(4, "little"), (3).to_bytes(4, "little")))
 
 
 @pytest.mark.parametrize("name", ["../out.txt", "/out.txt", ".", "a/../../out.txt", "..\\out.txt", "C:\\out.txt"])
 def test_a_path_that_leads_out_of_an_archive_is_refused(tmp_path, name):
-    with pytest.raises(UploadError):
+    with pytest.raises(AppError):
         unpack_upload(tmp_path / "in", "some.zip", pack({"good.txt": b"1", name: b"2"}))
     assert not list(tmp_path.rglob("*.txt"))
 
@@ -105,7 +105,7 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, l
     monkeypatch.setattr(uploads, limit, value)
     content = pack({f"{n}.txt": bytes(400_000) for n in range(3)})
     assert len(content) < 10_000
-    with pytest.raises(UploadError, match=str(value)):
+    with pytest.raises(AppError, match=str(value)):
         unpack_upload(tmp_path, "bomb.zip", content)
     assert list(tmp_path.iterdir()) == []
 
@@ -116,5 +116,5 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, l
     ids=["nothing", "text", "empty", "cut"],  # an archive has the time in it, so its bytes are no name of a test
 )
 def test_a_damaged_or_empty_archive_is_refused(tmp_path, content):
-    with pytest.raises(UploadError):
+    with pytest.raises(AppError):
         unpack_upload(tmp_path, "some.zip", content)

@@ -12,9 +12,8 @@ import pytest
 from PIL import Image
 
 from tactile_loc.core.runtime.errors import SourceError
-from tactile_loc.io.streams import frame_sources, frame_taker
-from tactile_loc.io.streams.frame_sources import Camera, ImageFolder, Video
-from tactile_loc.io.streams.frame_taker import FrameTaker
+from tactile_loc.io.streams import frame_sources
+from tactile_loc.io.streams.frame_sources import Camera, FrameTaker, ImageFolder, Video
 from tactile_loc.io.streams.videos import VideoFacts
 
 
@@ -74,7 +73,7 @@ class Capture:
 
 def test_a_camera_settles_first_and_stays_open_until_it_is_closed(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(VideoCapture=Capture))
-    monkeypatch.setattr(frame_taker, "SETTLES_S", 0.02)
+    monkeypatch.setattr(frame_sources, "SETTLES_S", 0.02)
     taker = FrameTaker(Camera("0"))
     first, second = taker.take(), taker.take()
     assert second.number > first.number > 1
