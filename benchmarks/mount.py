@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from tactile_loc.core.geometry.hand_eye import compute_pose_errors
+from tactile_loc.core.geometry.lie import compute_pose_errors
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, rotation_about
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.noise import NOISE

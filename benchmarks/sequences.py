@@ -29,7 +29,7 @@ from scipy.stats import chi2
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.bases.cloud_refiner import Cloud
-from tactile_loc.core.geometry.hand_eye import move
+from tactile_loc.core.geometry.lie import move
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric

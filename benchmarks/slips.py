@@ -36,7 +36,7 @@ from track_starts import (
     soften,
 )
 
-from tactile_loc.core.geometry.hand_eye import move
+from tactile_loc.core.geometry.lie import move
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.evaluation.sequences import Frame, Slip

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.hand_eye import compute_pose_errors
-from tactile_loc.core.geometry.rigid import Poses, invert, move_covariance, transform_points
+from tactile_loc.core.geometry.lie import compute_pose_errors, move_covariance
+from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.formatting import format_millimetres, format_percent

@@ -56,7 +56,8 @@ if TYPE_CHECKING:
     from tactile_loc.core.runtime.errors import WeightsError as WeightsError, did_you_mean as did_you_mean
 
     # rotations and transforms
-    from tactile_loc.core.geometry.rigid import axis_times_sine as axis_times_sine, move_covariance as move_covariance
+    from tactile_loc.core.geometry.rigid import axis_times_sine as axis_times_sine
+    from tactile_loc.core.geometry.lie import move_covariance as move_covariance
     from tactile_loc.core.geometry.rigid import cross_matrix as cross_matrix, align_to_z as align_to_z, invert as invert
     from tactile_loc.core.geometry.rigid import is_rigid as is_rigid, make_transform as make_transform
     from tactile_loc.core.geometry.rigid import quaternion_to_rotation as quaternion_to_rotation
@@ -65,6 +66,8 @@ if TYPE_CHECKING:
     from tactile_loc.core.geometry.rigid import rotation_to_quaternion as rotation_to_quaternion
     from tactile_loc.core.geometry.rigid import transform_points as transform_points
     from tactile_loc.core.geometry.rigid import make_translation as make_translation
+
+    from tactile_loc.core.geometry.lie import exponential as exponential
 
     # for sensors and renderers
     from tactile_loc.core.objects.blocks import Blocks as Blocks, make_blocks as make_blocks

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tactile_loc import RosPose
-from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move
+from tactile_loc.core.geometry.lie import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 
 PAGE = (Path(__file__).parents[1] / "docs" / "other-tools.md").read_text()

@@ -7,7 +7,7 @@ import numpy as np
 import pictures as guide
 import pytest
 
-from tactile_loc.core.geometry.hand_eye import move
+from tactile_loc.core.geometry.lie import move
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rotation_about
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.locate.result.verdict import Verdict

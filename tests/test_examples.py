@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from tactile_loc import Verdict
-from tactile_loc.core.geometry.hand_eye import move
+from tactile_loc.core.geometry.lie import move
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.geometry.rigid import move_covariance
+from tactile_loc.core.geometry.lie import move_covariance
 from tactile_loc.io.toml import (
     MATRIX,
     Finite,

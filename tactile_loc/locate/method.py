@@ -8,7 +8,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import Poses, invert, move_covariance
+from tactile_loc.core.geometry.lie import move_covariance
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import Mode, NoPoseLeft, PosePosterior

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.posterior import Mode, NoPoseLeft, PosePosterior
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.registration.prior_factors import fit_pulls
+from tactile_loc.core.registration.prior_factors import fit_prior_factors
 from tactile_loc.locate.hypotheses import compare, count_touches_with_depths, merge_hypotheses, weigh
 from tactile_loc.locate.method import LocatingMethod, Query
 from tactile_loc.locate.probability.conformal import PoseSet
@@ -90,5 +90,5 @@ def is_unexpected(prior: Prior | None, T: Poses, middle_m: NDArray[np.float64]) 
     """
     if prior is None:
         return False
-    peak = fit_pulls(prior, T[None], middle_m).T
+    peak = fit_prior_factors(prior, T[None], middle_m).T
     return bool(prior(peak)[0] - prior(T[None])[0] > UNEXPECTED)

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.hand_eye import (
     TRUSTED,
     HandEyeFit,
-    compute_pose_errors,
     estimate_typical_variance,
     fit_hand_eye,
     measure_turns,
     predict,
 )
-from tactile_loc.core.geometry.rigid import Poses, move_covariance, rotation_angle
+from tactile_loc.core.geometry.lie import compute_pose_errors, move_covariance
+from tactile_loc.core.geometry.rigid import Poses, rotation_angle
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.runtime.errors import GridError, MountError, TouchError

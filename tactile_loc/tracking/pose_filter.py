@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.hand_eye import UNIT, compute_pose_errors, move
-from tactile_loc.core.geometry.rigid import cross_matrix, invert, move_covariance
+from tactile_loc.core.geometry.hand_eye import UNIT
+from tactile_loc.core.geometry.lie import compute_pose_errors, move, move_covariance
+from tactile_loc.core.geometry.rigid import cross_matrix, invert
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import invert, rotate_covariance
+from tactile_loc.core.geometry.lie import rotate_covariance
+from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import FrameError, NoContactError, RecordingError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.localizer import localize_together

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import require_covariance, require_rigid, rotate_covariance
+from tactile_loc.core.geometry.lie import rotate_covariance
+from tactile_loc.core.geometry.rigid import require_covariance, require_rigid
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch, require_depths
 from tactile_loc.locate.localizer import Localizer

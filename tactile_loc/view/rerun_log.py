@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.lie import rotate_covariance
 from tactile_loc.core.geometry.pose_words import format_pose_words
-from tactile_loc.core.geometry.rigid import invert, rotate_covariance, rotation_to_quaternion_xyzw
+from tactile_loc.core.geometry.rigid import invert, rotation_to_quaternion_xyzw
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cli_helpers import assert_refused
 
-from tactile_loc.core.geometry.hand_eye import compute_pose_errors
+from tactile_loc.core.geometry.lie import compute_pose_errors
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 from tactile_loc.io.mount_files import read_mount
 

@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from message_helpers import missing
 from rerun_helpers import read
 
-from tactile_loc.core.geometry.hand_eye import compute_pose_errors
+from tactile_loc.core.geometry.lie import compute_pose_errors
 from tactile_loc.evaluation.slides import T_BASE_OBJECT, T_FLANGE_GEL
 from tactile_loc.io.streams.recordings import Recording, write_recording
 from tactile_loc.io.streams.ros_messages import (

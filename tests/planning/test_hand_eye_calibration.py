@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move, predict
+from tactile_loc.core.geometry.hand_eye import predict
+from tactile_loc.core.geometry.lie import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.metric import PoseMetric

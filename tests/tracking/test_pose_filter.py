@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.hand_eye import UNIT, compute_pose_errors, move
+from tactile_loc.core.geometry.hand_eye import UNIT
+from tactile_loc.core.geometry.lie import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation
 from tactile_loc.tracking.pose_filter import PoseFilter, SeenPose, estimate_motion_errors
 

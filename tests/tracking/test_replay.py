@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from message_helpers import missing, naming
 
-from tactile_loc.core.geometry.rigid import make_transform, rotate_covariance, rotation_about
+from tactile_loc.core.geometry.lie import rotate_covariance
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.runtime.errors import FrameError, GridError, OutputError, RecordingError, StoreError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.streams.recordings import Recording, RecordingWriter, choose_image_topic, write_recording

@@ -9,7 +9,7 @@ import pytest
 from message_helpers import missing, naming
 from track_settings import SETTINGS
 
-from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move
+from tactile_loc.core.geometry.lie import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import ConfigError, TouchError

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.hand_eye import compute_pose_errors, move
+from tactile_loc.core.geometry.lie import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import FrameError, advise_choice
 

@@ -9,19 +9,19 @@ z (m), then a rotation vector (rad).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.lie import compute_pose_errors, move, rotate_covariance
 from tactile_loc.core.geometry.rigid import (
     Poses,
     axis_times_sine,
     cross_matrix,
     invert,
     make_transform,
-    rotate_covariance,
     rotation_angle,
+    rotation_to_vector,
 )
 
 Floats = NDArray[np.float64]
@@ -63,29 +63,6 @@ class HandEyeFit:
 def predict(T_base_flange: Poses, T_flange_sensor: Poses, T_base_object: Poses) -> Poses:
     """Return T_sensor_object (..., N, 4, 4), metres, from flange poses (N, 4, 4), X and Y (..., 4, 4)."""
     return invert(T_base_flange @ T_flange_sensor[..., None, :, :]) @ T_base_object[..., None, :, :]
-
-
-def compute_pose_errors(T: Poses, T_measured: Poses) -> Floats:
-    """Return the errors (..., 6) of poses T against measured poses, ordered as in `RefinedPose.covariance`."""
-    rotation = compute_rotation_vectors(T[..., :3, :3] @ np.swapaxes(T_measured[..., :3, :3], -1, -2))
-    return np.concatenate([T[..., :3, 3] - T_measured[..., :3, 3], rotation], axis=-1)
-
-
-def move(T: Poses, errors: Floats) -> Poses:
-    """Return poses (..., 4, 4), metres, that differ from T by `errors` (..., 6), as `compute_pose_errors` returns."""
-    from scipy.spatial.transform import Rotation
-
-    rotation: Any = Rotation.from_rotvec(errors[..., 3:].reshape(-1, 3)).as_matrix()
-    R = rotation.reshape(*errors.shape[:-1], 3, 3) @ T[..., :3, :3]
-    return make_transform(R, T[..., :3, 3] + errors[..., :3])
-
-
-def compute_rotation_vectors(R: Floats) -> Floats:
-    """Return the rotation vectors (..., 3), rad, of rotations (..., 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    vectors: Any = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
-    return np.asarray(vectors, float).reshape(*R.shape[:-2], 3)
 
 
 def solve_closed_form(T_base_flange: Poses, T_sensor_object: Poses) -> tuple[Poses, Poses]:
@@ -196,7 +173,7 @@ def measure_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:
     """
     R = T_base_flange[:, :3, :3]
     first, second = np.triu_indices(len(R), 1)
-    turns = compute_rotation_vectors(np.swapaxes(R[first], 1, 2) @ R[second])
+    turns = rotation_to_vector(np.swapaxes(R[first], 1, 2) @ R[second])
     values, vectors = np.linalg.eigh(turns.T @ turns / max(1, len(turns)))
     return np.sqrt(np.maximum(values[::-1], 0.0)), vectors.T[::-1]
 

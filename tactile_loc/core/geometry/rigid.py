@@ -76,19 +76,6 @@ def cross_matrix(v: Array) -> Array:
     return np.asarray(K - K.swapaxes(-1, -2))
 
 
-def move_covariance(covariance: Array, shift_m: Array) -> Array:
-    """Move a pose's covariances (..., 6, 6), m, then rad, to reference points at `shift_m` (..., 3), metres."""
-    moved = np.broadcast_to(np.eye(6), (*shift_m.shape[:-1], 6, 6)).copy()
-    moved[..., :3, 3:] = -cross_matrix(shift_m)  # w x shift
-    return np.asarray(moved @ covariance @ np.swapaxes(moved, -1, -2))
-
-
-def rotate_covariance(covariance: Array, R: Array) -> Array:
-    """Return a pose's covariance (6, 6), m, then rad, along other axes. R (3, 3) maps vectors to the other axes."""
-    both = np.kron(np.eye(2), R)
-    return np.asarray(both @ covariance @ both.T)
-
-
 def align_to_z(direction: ArrayLike) -> Array:
     """Return the smallest rotation (3, 3) that maps the unitless direction (3,) to +z."""
     d = np.asarray(direction, float) / np.linalg.norm(direction)
@@ -123,11 +110,26 @@ def quaternion_to_rotation(q: ArrayLike) -> Array:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def axis_angle(R: Array) -> tuple[float, Array]:
-    """Return the angle, degrees, 0 to 180, and the unit axis (3,) of a rotation (3, 3). No rotation has the axis z."""
+def vector_to_rotation(vectors: ArrayLike) -> Array:
+    """Convert rotation vectors (..., 3), rad, to rotations (..., 3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    vector = Rotation.from_matrix(R).as_rotvec()
+    found = np.asarray(vectors, float)
+    R: Any = Rotation.from_rotvec(found.reshape(-1, 3)).as_matrix()
+    return np.asarray(R, float).reshape(*found.shape, 3)
+
+
+def rotation_to_vector(R: Array) -> Array:
+    """Convert rotations (..., 3, 3) to rotation vectors (..., 3), rad."""
+    from scipy.spatial.transform import Rotation
+
+    vectors: Any = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
+    return np.asarray(vectors, float).reshape(*R.shape[:-2], 3)
+
+
+def axis_angle(R: Array) -> tuple[float, Array]:
+    """Return the angle, degrees, 0 to 180, and the unit axis (3,) of a rotation (3, 3). No rotation has the axis z."""
+    vector = rotation_to_vector(R)
     angle = float(np.linalg.norm(vector))
     return float(np.degrees(angle)), vector / angle + 0.0 if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
 

@@ -5,24 +5,76 @@ touch's centre, in the frame of its sensor. The object's twist is about the obje
 sensor.
 """
 
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.lie import (
+    adjoint,
+    exponential,
+    fill_one_adjoint,
+    fill_one_logarithm,
+    logarithm,
+    move_one,
+    multiply_one,
+)
 from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.geometry.twists import adjoint, exponential, logarithm
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
+from tactile_loc.core.registration.equations import build_equations
 from tactile_loc.core.registration.observations import Observed
+from tactile_loc.core.registration.prior_factors import PriorFactors
+from tactile_loc.core.runtime.compiled import njit, run_in_threads
 from tactile_loc.core.runtime.turns import split_into_turns
 
 SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
 A_TURN = 600  # steps of single poses with single touches in one turn; a step with all points counts as `stride` steps
+FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # largest rotation and translation of a step
+DAMPING = 1e-4
+DAMPING_WITH_PRIOR = 1e-8  # more damping would only slow down the weak factor of a prior
+LEVER_MM = 10.0  # a rotation counts as the motion of a point at this distance from its axis
 Floats = NDArray[np.float64]
-NO_PEAKS, NO_PULLS = np.empty((0, 4, 4)), np.empty((0, 6, 6))
+NO_FACTORS = PriorFactors(np.empty((0, 4, 4)), np.empty((0, 6, 6)))
+
+
+class Moving(NamedTuple):
+    """K poses while they are moved: the first two and the last three arrays of `Registered`, without correction."""
+
+    T: Floats
+    T_each: Floats
+    moved: Floats
+    misfit: Floats
+    parts: Floats
+
+
+class Touched(NamedTuple):
+    """A `RegistrationProblem` for compiled functions. `spread` is the sum of its `sensor` and `press`."""
+
+    observed: Observed
+    triangles: NearestTriangles
+    samples: Blocks
+    middle: Floats
+    T_sensor_first: Floats
+    spread: Floats
+    noise: float
+
+
+class Schedule(NamedTuple):
+    """The steps of a registration.
+
+    `scales` (I,) are the scales of the robust weights, one for each step. The last `finely` steps use all points. The
+    other steps use one point out of `stride`. A pose whose step is shorter than SETTLED_MM is not moved further.
+    """
+
+    scales: Floats
+    finely: int
+    stride: int
 
 
 class Registered(NamedTuple):
@@ -44,7 +96,7 @@ class Registered(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Registration:
+class RegistrationProblem:
     """A registration problem: `observed`, the observations of N touches, and the touched object.
 
     The object has `triangles`, `samples` of its surface and a centre `middle` (3,). `T_sensor_first` (N, 4, 4) converts
@@ -63,30 +115,22 @@ class Registration:
     samples: Blocks
     middle: Floats
 
-    def register(
-        self, T: Floats, scales: Floats, finely: int, stride: int, peaks: Floats = NO_PEAKS, pulls: Floats = NO_PULLS
-    ) -> Registered:
+    def register(self, T: Floats, schedule: Schedule, factors: PriorFactors = NO_FACTORS) -> Registered:
         """Move poses T (K, 4, 4), in the first sensor's frame, so that they explain all touches.
 
-        `scales` (I,) are the scales of the robust weights, one for each step. The last `finely` steps use all points.
-        The other steps use one point out of `stride`. A prior pulls the poses to its `peaks` (K, 4, 4) with the
-        information `pulls` (K, 6, 6) about twists of the object from a peak.
+        `factors` (K), with lengths in mm, are those of a prior. They refer to twists of the object from a peak.
         """
-        from tactile_loc.core.registration.steps import register_poses
-        from tactile_loc.core.runtime.compiled import run_in_threads  # numba takes a while to import
-
         T, count = np.array(T), len(T)
-        T_each = self.T_sensor_first @ T[:, None]
         parts, moved, misfit = np.zeros((count, 2, 6, 6)), np.full(count, np.inf), np.full(count, np.inf)
-        steps = len(scales) + finely * (stride - 1)
-        for some in split_into_turns(count, A_TURN / (steps * len(self.T_sensor_first))):
-            run_in_threads(
-                register_poses, len(T[some]), T[some], T_each[some], parts[some], moved[some], misfit[some],
-                self.observed, self.triangles, self.samples, self.middle, self.T_sensor_first,
-                self.sensor + self.press, self.noise, scales, finely, stride, SETTLED_MM,
-                peaks[some], pulls[some],
-            )  # fmt: skip
-        return Registered(self._view_from_first(T, T_each[:, 0]), T_each, T, moved, misfit, parts)
+        moving = Moving(T, self.T_sensor_first @ T[:, None], moved, misfit, parts)
+        spread = self.sensor + self.press
+        middle, T_sensor_first = self.middle, self.T_sensor_first
+        touched = Touched(self.observed, self.triangles, self.samples, middle, T_sensor_first, spread, self.noise)
+        steps = len(schedule.scales) + schedule.finely * (schedule.stride - 1)
+        for some in split_into_turns(count, A_TURN / (steps * len(T_sensor_first))):
+            part, near = Moving(*(array[some] for array in moving)), PriorFactors(*(array[some] for array in factors))
+            run_in_threads(register_poses, len(part.T), part, touched, schedule, near)
+        return Registered(self._view_from_first(T, moving.T_each[:, 0]), moving.T_each, T, moved, misfit, parts)
 
     def inform(self, T: Floats, parts: Floats) -> Floats:
         """Return the information (K, 6, 6) about twists of `Registered.T`.
@@ -131,3 +175,213 @@ class Registration:
         reported = here @ T
         corrected = exponential(share * logarithm(seen @ invert(reported), centre), centre) @ reported
         return np.asarray(invert(here) @ corrected)
+
+
+@njit(fast=True)
+def register_poses(first, last, moving, problem, schedule, factors):
+    """Move the object's poses of `moving`, a `Moving`, from first to last, as `RegistrationProblem.register` describes.
+
+    `problem` is a `Touched`, and `schedule` a `Schedule`. `factors` (K) are those of a prior, or empty. `moving.parts`
+    and `moving.misfit` are from before the last step: see `build_equations`.
+    """
+    count, known = moving.T_each.shape[1], len(factors.T) > 0
+    A, b, H, g = np.empty((count, 6, 6)), np.empty((count, 6)), np.empty((6, 6)), np.empty((6, 1))
+    scales, equations = schedule.scales, (A, b, H, g)
+    for k in range(first, last):
+        T, T_each = moving.T[k], moving.T_each[k]
+        every = schedule.stride
+        damping = DAMPING_WITH_PRIOR if known and factors.information[k].any() else DAMPING
+        for number in range(len(scales)):
+            if number + schedule.finely >= len(scales):
+                every = 1
+            moving.misfit[k] = build_equations(T_each, problem, every, scales[number], A, b)
+            H[:], g[:] = 0.0, 0.0
+            if damping < DAMPING:
+                add_factor(T, factors.T[k], factors.information[k], problem.middle, H, g)
+            if count == 1:
+                moving.moved[k] = step_to_one(T, T_each, equations, problem, moving.parts[k], damping)
+            else:
+                moving.moved[k] = step_to_all(T, T_each, equations, problem, moving.parts[k], damping)
+            if scales[number] == scales[-1] and moving.moved[k] < SETTLED_MM:
+                if every == 1 or schedule.finely == 0:
+                    break
+                every = 1
+
+
+@njit(fast=True)
+def add_factor(T, peak, information, middle, H, g):
+    """Add a prior's `information` (6, 6) about its `peak` (4, 4), at the pose T (4, 4), to the equations H x = g."""
+    c0 = T[0, 0] * middle[0] + T[0, 1] * middle[1] + T[0, 2] * middle[2] + T[0, 3]
+    c1 = T[1, 0] * middle[0] + T[1, 1] * middle[1] + T[1, 2] * middle[2] + T[1, 3]
+    c2 = T[2, 0] * middle[0] + T[2, 1] * middle[1] + T[2, 2] * middle[2] + T[2, 3]
+    e = np.empty(6)
+    fill_one_logarithm(peak, T, c0, c1, c2, e)
+    for m in range(6):
+        for n in range(6):
+            H[m, n] += information[m, n]
+            g[m, 0] += information[m, n] * e[n]
+
+
+@njit(fast=True)
+def step_to_one(T, T_each, equations, problem, parts, damping):
+    """Take the step of `step_to_all` for one touch. Return its length, mm.
+
+    One touch cannot separate its own error from the object's pose, so only the pose moves.
+    """
+    A, b, H, g = equations
+    middle, T_sensor_first, Ad = problem.middle, problem.T_sensor_first, np.empty((6, 6))
+    fill_change(T_each[0], T_sensor_first[0], problem.observed.centres[0], middle, Ad)
+    parts[:] = 0.0
+    add_transformed(Ad, A[0], parts[0])
+    add_turned(Ad, b[0], g)
+    H += parts[0]
+    x, far = solve_step(H, g, damping)
+    move_object(T, x, middle)
+    multiply_one(T_sensor_first[0], T, T_each[0])
+    return far
+
+
+@njit(fast=True)
+def step_to_all(T, T_each, equations, problem, parts, damping):
+    """Take one step of the object's pose T (4, 4) and of its poses T_each (N, 4, 4). Return its length, mm.
+
+    Touch i gives the equations A u = b for a twist u of its pose in T_each. Its present error is e. Its new error s
+    has the covariance S, and the object's twist is x. Then u = Ad x - e + s. Eliminating s gives the equations for
+    Ad x: the matrix (1 + A S)^-1 A and the right side (1 + A S)^-1 (b + A e). The factor of a prior is already in
+    the matrix H (6, 6) and the right side g (6, 1).
+    """
+    A, b, H, g = equations
+    centres, middle = problem.observed.centres, problem.middle
+    T_sensor_first, spread = problem.T_sensor_first, problem.spread
+    count = len(T_each)
+    Ad, left, M = np.empty((count, 6, 6)), np.empty((count, 6, 7)), np.empty((6, 6))
+    e, s, nominal = np.empty(6), np.empty(6), np.empty((4, 4))
+    parts[:] = 0.0
+    for i in range(count):
+        multiply_one(T_sensor_first[i], T, nominal)
+        fill_one_logarithm(T_each[i], nominal, centres[i, 0], centres[i, 1], centres[i, 2], e)
+        fill_change(nominal, T_sensor_first[i], centres[i], middle, Ad[i])
+        for m in range(6):
+            left[i, m, 6] = b[i, m]
+            for n in range(6):
+                left[i, m, n] = A[i, m, n]
+                left[i, m, 6] += A[i, m, n] * e[n]
+                M[m, n] = A[i, m, n] * spread[i, n]
+            M[m, m] += 1.0
+        solve(M, left[i])
+        if i == 0:
+            add_transformed(Ad[0], A[0], parts[0])
+            add_transformed(Ad[0], left[0], H)
+        else:
+            add_transformed(Ad[i], left[i], parts[1])
+        add_turned(Ad[i], left[i, :, 6], g)
+    H += parts[1]
+    x, far = solve_step(H, g, damping)
+    move_object(T, x, middle)
+    for i in range(count):
+        # the touch's new error s, given the object's twist: S (1 + A S)^-1 (b + A e - A Ad x)
+        for m in range(6):  # e is now the twist of the touch's pose by x
+            e[m] = 0.0
+            for n in range(6):
+                e[m] += Ad[i, m, n] * x[n]
+        for m in range(6):
+            own = left[i, m, 6]
+            for n in range(6):
+                own -= left[i, m, n] * e[n]
+            s[m] = spread[i, m] * own
+        multiply_one(T_sensor_first[i], T, T_each[i])
+        move_one(T_each[i], s, centres[i, 0], centres[i, 1], centres[i, 2])
+    return far
+
+
+@njit(fast=True)
+def fill_change(seen, T_sensor_first, centre, middle, Ad):
+    """Fill Ad (6, 6): from twists about the object's centre to twists about a touch's `centre`, at the pose `seen`."""
+    x = centre[0] - seen[0, 0] * middle[0] - seen[0, 1] * middle[1] - seen[0, 2] * middle[2] - seen[0, 3]
+    y = centre[1] - seen[1, 0] * middle[0] - seen[1, 1] * middle[1] - seen[1, 2] * middle[2] - seen[1, 3]
+    z = centre[2] - seen[2, 0] * middle[0] - seen[2, 1] * middle[1] - seen[2, 2] * middle[2] - seen[2, 3]
+    fill_one_adjoint(T_sensor_first, x, y, z, Ad)
+
+
+@njit(fast=True)
+def add_turned(Ad, b, g):
+    """Add Ad^T b to g (6, 1)."""
+    for m in range(6):
+        for n in range(6):
+            g[n, 0] += Ad[m, n] * b[m]
+
+
+@njit(fast=True)
+def move_object(T, x, middle):
+    """Move the object's pose T (4, 4) by a twist x (6,) about its centre, which is `middle` (3,) in its own frame."""
+    c0 = T[0, 0] * middle[0] + T[0, 1] * middle[1] + T[0, 2] * middle[2] + T[0, 3]
+    c1 = T[1, 0] * middle[0] + T[1, 1] * middle[1] + T[1, 2] * middle[2] + T[1, 3]
+    c2 = T[2, 0] * middle[0] + T[2, 1] * middle[1] + T[2, 2] * middle[2] + T[2, 3]
+    move_one(T, x, c0, c1, c2)
+
+
+@njit(fast=True)
+def solve_step(H, g, damping):
+    """Solve H x = g (6, 1), damped by the share `damping` of H, for a twist x (6,) of limited size.
+
+    Also return the length of x, mm.
+    """
+    damped, x = H.copy(), np.zeros(6)
+    turn, shift = (H[0, 0] + H[1, 1] + H[2, 2]) / 3, (H[3, 3] + H[4, 4] + H[5, 5]) / 3
+    if shift <= 0.0:
+        return x, 0.0
+    for n in range(3):
+        damped[n, n] += damping * turn + 1e-9
+        damped[3 + n, 3 + n] += damping * shift + 1e-9
+    solve(damped, g)
+    for n in range(6):
+        x[n] = g[n, 0]
+    angle, far = math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2), math.sqrt(x[3] ** 2 + x[4] ** 2 + x[5] ** 2)
+    shorter = min(1.0, FARTHEST_RAD / (angle + 1e-12), FARTHEST_MM / (far + 1e-12))
+    x *= shorter
+    return x, (far + LEVER_MM * angle) * shorter
+
+
+@njit(fast=True)
+def add_transformed(B, A, out):
+    """Add B^T A B to `out`; all matrices are (6, 6)."""
+    for c in range(6):
+        for r in range(6):
+            inner = 0.0  # row r of A times column c of B
+            for k in range(6):
+                inner += A[r, k] * B[k, c]
+            for n in range(6):
+                out[n, c] += B[r, n] * inner
+
+
+@njit(fast=True)
+def solve(M, X):
+    """Replace X (6, C) by the solution Y of M Y = X, by elimination with pivots; M (6, 6) is lost.
+
+    A column of M without a pivot, which means that M is singular, gives zeros.
+    """
+    size, columns = M.shape[0], X.shape[1]
+    for k in range(size):
+        pivot = k
+        for r in range(k + 1, size):
+            if abs(M[r, k]) > abs(M[pivot, k]):
+                pivot = r
+        if pivot != k:
+            for c in range(size):
+                M[k, c], M[pivot, c] = M[pivot, c], M[k, c]
+            for c in range(columns):
+                X[k, c], X[pivot, c] = X[pivot, c], X[k, c]
+        if M[k, k] == 0.0:
+            continue
+        for r in range(k + 1, size):
+            factor = M[r, k] / M[k, k]
+            for c in range(k + 1, size):
+                M[r, c] -= factor * M[k, c]
+            for c in range(columns):
+                X[r, c] -= factor * X[k, c]
+    for c in range(columns):
+        for k in range(size - 1, -1, -1):
+            rest = X[k, c]
+            for n in range(k + 1, size):
+                rest -= M[k, n] * X[n, c]
+            X[k, c] = rest / M[k, k] if M[k, k] != 0.0 else 0.0

@@ -12,25 +12,24 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.geometry.rigid import Poses, move_covariance
+from tactile_loc.core.geometry.lie import move_covariance
+from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles, make_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.registration.gauss_newton import SETTLED_MM, Registered, Registration
+from tactile_loc.core.registration.gauss_newton import NO_FACTORS, SETTLED_MM, Registered, RegistrationProblem, Schedule
 from tactile_loc.core.registration.observations import MILLI, observe
-from tactile_loc.core.registration.prior_factors import Pulls, fit_pulls
+from tactile_loc.core.registration.prior_factors import PriorFactors, fit_prior_factors
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.scene import View
-
-if TYPE_CHECKING:
-    from tactile_loc.core.objects.surface_field import SurfaceField
 
 VERSION = 4  # part of the store's keys: raise it when the output changes
 ROUGHLY = 0.02  # IoUs are counted in pixels, so a loss this small is ignored
@@ -152,14 +151,15 @@ class JointRegistration:
         return self._solve(self._pose_problem(views), T, scales_mm, finely, prior)
 
     def _solve(
-        self, problem: Registration, T: Poses, scales_mm: Floats, finely: int = 0, prior: Prior | None = None
+        self, problem: RegistrationProblem, T: Poses, scales_mm: Floats, finely: int = 0, prior: Prior | None = None
     ) -> _Found:
-        pulled = [] if prior is None else _scale_pulls(fit_pulls(prior, T, problem.middle / MILLI))
-        return _Found(problem, problem.register(_scale(T, MILLI), scales_mm, finely, self.options.stride, *pulled))
+        factors = NO_FACTORS
+        if prior is not None:
+            factors = _scale_factors(fit_prior_factors(prior, T, problem.middle / MILLI))
+        schedule = Schedule(scales_mm, finely, self.options.stride)
+        return _Found(problem, problem.register(_scale(T, MILLI), schedule, factors))
 
-    def _pose_problem(self, views: Sequence[View], cell_m: float | None = None) -> Registration:
-        from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
-
+    def _pose_problem(self, views: Sequence[View], cell_m: float | None = None) -> RegistrationProblem:
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
         observed = observe(
@@ -168,7 +168,7 @@ class JointRegistration:
         )  # fmt: skip
         press_mm = [_press_std_m(view, options.press_error) * MILLI for view in views]
         sensor = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]
-        return Registration(
+        return RegistrationProblem(
             observed, _scale(np.stack([view.T_sensor_first for view in views]), MILLI), np.square(sensor),
             np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]), options.noise_mm,
             _triangles_mm(build_surface_field(mesh, cell_m)),
@@ -181,7 +181,7 @@ class JointRegistration:
 class _Found:
     """Poses of the object registered to touches."""
 
-    problem: Registration
+    problem: RegistrationProblem
     registered: Registered
 
     @cached_property
@@ -232,10 +232,10 @@ def _scale(T: Floats, unit: float) -> Floats:
     return scaled
 
 
-def _scale_pulls(pulls: Pulls) -> tuple[Floats, Floats]:
-    """Return the peaks (K, 4, 4) and the information (K, 6, 6) of pulls, with lengths in mm."""
+def _scale_factors(factors: PriorFactors) -> PriorFactors:
+    """Return the factors of a prior, with lengths in mm."""
     unit = np.array([1.0] * 3 + [1 / MILLI] * 3)
-    return _scale(pulls.T, MILLI), pulls.information * unit * unit[:, None]
+    return PriorFactors(_scale(factors.T, MILLI), factors.information * unit * unit[:, None])
 
 
 def _explain(views: Sequence[View], T_first_object: Poses) -> Floats:

@@ -1,5 +1,7 @@
 """The observations of touches, in the form that the joint registration uses."""
 
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -10,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.runtime.compiled import njit
 from tactile_loc.core.sensing.clouds import make_contact_cloud, make_interior_cloud, make_outline_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -148,19 +151,16 @@ def _mask_cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> 
 
 def _image_mm(touch: Seen) -> NDArray[np.float32]:
     """Return the rows of `Observed.images` for one touch, as an image (H - 1, W - 1, 4), mm."""
-    from tactile_loc.core.registration.touch_image import fill_image  # numba takes a while to import
-
     geometry = touch.geometry
     contact = touch.surface.contact & geometry.observed_mask
     z_m = touch.surface.depth_m + geometry.full_penetration_m
     if touch.surface.press_slack_m:
         z_m = z_m - touch.surface.press_slack_m * contact
     image = np.empty((geometry.height_px - 1, geometry.width_px - 1, 4), np.float32)
-    fill_image(
-        np.ascontiguousarray(z_m, float), np.ascontiguousarray(z_m * MILLI, np.float32),
-        np.ascontiguousarray(np.broadcast_to(_gel_mm(touch), geometry.shape), float), np.ascontiguousarray(contact),
-        geometry.observed_mask, *geometry.pixel_slopes, geometry.is_pinhole, MILLI, image,
-    )  # fmt: skip
+    gel_mm = np.broadcast_to(_gel_mm(touch), geometry.shape)
+    arrays = ((z_m, float), (z_m * MILLI, np.float32), (gel_mm, float), (contact, bool), (geometry.observed_mask, bool))
+    surface = tuple(np.ascontiguousarray(array, kind) for array, kind in arrays)
+    fill_image(surface, (*geometry.pixel_slopes, geometry.is_pinhole), image)
     return image
 
 
@@ -174,7 +174,105 @@ def _camera_mm(touch: Seen, weight: float) -> Floats:
     geometry = touch.geometry
     scale = 1.0 if geometry.is_pinhole else 1 / MILLI
     gel_mm = np.max(_gel_mm(touch))
-    return np.array([
-        geometry.is_pinhole, geometry.fx * scale, geometry.fy * scale, geometry.cx, geometry.cy, gel_mm,
-        *np.multiply(geometry.rectangle, MILLI), weight,
-    ])  # fmt: skip
+    rays = geometry.is_pinhole, geometry.fx * scale, geometry.fy * scale, geometry.cx, geometry.cy
+    return np.array([*rays, gel_mm, *np.multiply(geometry.rectangle, MILLI), weight])
+
+
+@njit
+def fill_image(surface, rays, image):
+    """Fill `image` (H - 1, W - 1, 4) with the rows of `Observed.images`, from the surface that one touch shows.
+
+    `surface` has arrays (H, W): the surface's z in metres and in mm, the z of the gel at the press depth, mm, and masks
+    of contact and of observed pixels. `rays` has the slopes (W,) and (H,) of `SensorGeometry.pixel_slopes`, and whether
+    the camera is a pinhole.
+    """
+    z, heights, gel, contact, observed = surface
+    x_slopes, y_slopes, pinhole = rays
+    rows, columns = find_nearest(contact)
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            lowest, free, known = np.inf, np.inf, True
+            for i in (row, row + 1):
+                for j in (column, column + 1):
+                    known = known and observed[i, j]
+                    free = min(free, gel[i, j])
+                    if contact[i, j]:
+                        lowest = min(lowest, heights[i, j])
+            if not known:
+                image[row, column, 0] = np.nan
+            else:
+                image[row, column, 0] = lowest if lowest < np.inf else -free
+            i, j = rows[row, column], columns[row, column]
+            if i < 0:
+                image[row, column, 1:] = np.inf
+                continue
+            k = z[i, j] if pinhole else 1.0
+            image[row, column, 1] = x_slopes[j] * k * MILLI
+            image[row, column, 2] = y_slopes[i] * k * MILLI
+            image[row, column, 3] = z[i, j] * MILLI
+
+
+@njit
+def find_nearest(mask):
+    """Return the rows and the columns (H, W) of the pixel of a mask (H, W) that is nearest to each pixel.
+
+    Of pixels at equal distances, the one in the first column, then in the first row, is chosen. All are -1 if the mask
+    is empty. Each column is scanned first. Then the lower envelope of the columns' parabolas is found in each row
+    (Felzenszwalb and Huttenlocher, 2012).
+    """
+    height, width = mask.shape
+    near = find_nearest_in_columns(mask)
+    rows, columns = np.full((height, width), -1), np.full((height, width), -1)
+    kept = np.empty(width, np.int64)  # columns whose parabolas are in the lower envelope
+    for row in range(height):
+        count = 0
+        for column in range(width):
+            if near[row, column] < 0:
+                continue
+            while count > 1 and is_hidden(row, kept[count - 2], kept[count - 1], column, near):
+                count -= 1
+            kept[count] = column
+            count += 1
+        if count == 0:
+            continue
+        k = 0
+        for column in range(width):
+            while k + 1 < count and square(row, column, kept[k + 1], near) < square(row, column, kept[k], near):
+                k += 1
+            rows[row, column], columns[row, column] = near[row, kept[k]], kept[k]
+    return rows, columns
+
+
+@njit
+def find_nearest_in_columns(mask):
+    """Return the row (H, W) of the nearest pixel of a mask in the same column, the upper one of two; -1 if none."""
+    height, width = mask.shape
+    near = np.full((height, width), -1)
+    for row in range(height):
+        for column in range(width):
+            if mask[row, column]:
+                near[row, column] = row
+            elif row > 0:
+                near[row, column] = near[row - 1, column]
+    for row in range(height - 2, -1, -1):
+        for column in range(width):
+            above, below = near[row, column], near[row + 1, column]
+            if below >= 0 and (above < 0 or below - row < row - above):
+                near[row, column] = below
+    return near
+
+
+@njit
+def square(row, column, other, near):
+    """Return the squared distance of a pixel from the pixel of the mask in another column."""
+    return (column - other) ** 2 + (row - near[row, other]) ** 2
+
+
+@njit
+def is_hidden(row, first, middle, last, near):
+    """Return whether the parabola of column `middle` is nowhere below those of the columns before and after it."""
+    a, b = middle - first, last - middle
+    first_square = (near[row, first] - row) ** 2
+    middle_square = (near[row, middle] - row) ** 2
+    last_square = (near[row, last] - row) ** 2
+    return (a + b) * middle_square - b * first_square - a * last_square - a * b * (a + b) > 0

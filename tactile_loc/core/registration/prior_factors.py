@@ -1,7 +1,7 @@
-"""The pull of a prior on poses in registration: the prior's local quadratic model, fitted to its values.
+"""The factors of a prior on poses in registration: the prior's local quadratic model, fitted to its values.
 
 Near a pose, the log-weight of a prior is about -e^T L e / 2 plus a constant. The twist e (6,) leads from the pose to
-the local peak of the prior, and L is the information. Where touches leave a pose open, the pull decides.
+the local peak of the prior, and L is the information. Where touches leave a pose open, the factor decides.
 """
 
 from __future__ import annotations
@@ -11,38 +11,38 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.lie import exponential
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.geometry.twists import exponential
 from tactile_loc.core.poses.priors import Prior
 
 STEPS = np.array([5e-3] * 3 + [1e-4] * 3)  # of finite differences: rad, then m
-MOST = np.array([1.0] * 3 + [5e-2] * 3)  # largest twist from a pose to the peak that pulls it: rad, then m
+MOST = np.array([1.0] * 3 + [5e-2] * 3)  # largest twist from a pose to the peak of its factor: rad, then m
 NEWTON_STEPS = 2
 FLAT = 1e-3  # nats at the largest twist MOST, below which a direction of the prior is flat
 ROUNDING = 1e-6  # nats; a peak that seems less probable than its pose by less may be the pose itself
 Floats = NDArray[np.float64]
 
 
-class Pulls(NamedTuple):
-    """What pulls each of K poses: the peaks `T` (K, 4, 4), and the `information` (K, 6, 6) about twists from the peak.
+class PriorFactors(NamedTuple):
+    """Factors of a prior on K poses: peaks `T` (K, 4, 4), and the `information` (K, 6, 6) about twists from the peaks.
 
     Lengths are in metres; the registration converts them. A twist is a rotation vector (rad), then a translation, about
-    the object's centre, along the axes of the poses' frame. Zero information pulls nothing.
+    the object's centre, along the axes of the poses' frame. A factor without information has no effect.
     """
 
     T: Poses
     information: Floats
 
 
-def fit_pulls(prior: Prior, T: Poses, middle_m: Floats) -> Pulls:
-    """Fit the pull of a `prior` on poses T (K, 4, 4), metres, of an object with the centre `middle_m` (3,), metres.
+def fit_prior_factors(prior: Prior, T: Poses, middle_m: Floats) -> PriorFactors:
+    """Fit the factors of a `prior` on poses T (K, 4, 4), metres, of an object with the centre `middle_m` (3,), metres.
 
-    Only values of the prior are used, so any function of poses serves. Nothing pulls a pose where the prior is flat,
+    Only values of the prior are used, so any function of poses serves. A factor is zero where the prior is flat,
     where it excludes a neighbouring pose, or where the peak of the quadratic model is no better than the pose.
     """
     peaks, information = T.copy(), np.zeros((len(T), 6, 6))
     if not len(T):
-        return Pulls(peaks, information)
+        return PriorFactors(peaks, information)
     here = np.asarray(prior(T), float)
     for _ in range(NEWTON_STEPS):
         twists, fitted = _fit_quadratic(prior, peaks, middle_m)
@@ -51,20 +51,20 @@ def fit_pulls(prior: Prior, T: Poses, middle_m: Floats) -> Pulls:
         better = np.isfinite(there) & (there >= here - ROUNDING)
         peaks[better], here[better] = moved[better], there[better]
         information[better] = fitted[better]
-    return Pulls(peaks, information)
+    return PriorFactors(peaks, information)
 
 
-def draw_around(pull: Pulls, count: int, middle_m: Floats) -> Poses:
-    """Draw poses (count, 4, 4), metres, from the quadratic model of a single pull. The same pull gives the same poses.
+def draw_around(factor: PriorFactors, count: int, middle_m: Floats) -> Poses:
+    """Draw poses (count, 4, 4), metres, from a single factor. The same factor gives the same poses.
 
     Directions in which the prior is flat are left out. The first pose is the peak.
     """
-    values, vectors = np.linalg.eigh(pull.information[0] * np.outer(MOST, MOST))
+    values, vectors = np.linalg.eigh(factor.information[0] * np.outer(MOST, MOST))
     std = np.where(values > FLAT, 1 / np.sqrt(np.maximum(values, FLAT)), 0.0)
     drawn = np.random.default_rng(0).normal(size=(count, 6))
     drawn[0] = 0.0
     twists = np.clip((drawn * std) @ vectors.T, -1.0, 1.0) * MOST
-    return np.asarray(exponential(twists, _find_centres(pull.T, middle_m)) @ pull.T)
+    return np.asarray(exponential(twists, _find_centres(factor.T, middle_m)) @ factor.T)
 
 
 def _find_centres(T: Poses, middle_m: Floats) -> Floats:

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.lie import exponential
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.geometry.twists import exponential
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.tolerance import Tolerance
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, axis_angle, invert, move_covariance, transform_points
+from tactile_loc.core.geometry.lie import move_covariance
+from tactile_loc.core.geometry.rigid import Poses, axis_angle, invert, transform_points
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.sensing.touch import Touch
 

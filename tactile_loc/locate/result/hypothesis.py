@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import rotate_covariance, rotation_to_quaternion_xyzw
+from tactile_loc.core.geometry.lie import rotate_covariance
+from tactile_loc.core.geometry.rigid import rotation_to_quaternion_xyzw
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.locate.result.verdict import Verdict
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.geometry.rigid import rotate_covariance
+from tactile_loc.core.geometry.lie import rotate_covariance
 from tactile_loc.core.runtime.errors import GridError, NoContactError, TactileLocError
 from tactile_loc.io.mount_files import Covariance
 from tactile_loc.locate.result.localization import Localization

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import invert, rotate_covariance
+from tactile_loc.core.geometry.lie import rotate_covariance
+from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.candidate import RefinedPose

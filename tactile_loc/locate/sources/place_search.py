@@ -20,7 +20,7 @@ from tactile_loc.core.places.places import CAMERA, HIGHEST_M, Places
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
-from tactile_loc.core.registration.prior_factors import draw_around, fit_pulls
+from tactile_loc.core.registration.prior_factors import draw_around, fit_prior_factors
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.runtime.turns import pause_before, split_into_turns
 from tactile_loc.core.sensing.gel_surface import SLACK
@@ -207,8 +207,8 @@ def draw_expected(prior: Prior, T: Poses, middle_m: NDArray[np.float64]) -> Pose
 
     `middle_m` (3,), metres, is the centre of the object.
     """
-    pull = fit_pulls(prior, T[None], middle_m)
-    return draw_around(pull, DRAWN, middle_m) if pull.information.any() else T[None][:0]
+    factor = fit_prior_factors(prior, T[None], middle_m)
+    return draw_around(factor, DRAWN, middle_m) if factor.information.any() else T[None][:0]
 
 
 def choose_expected(

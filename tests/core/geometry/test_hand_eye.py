@@ -9,23 +9,15 @@ from scipy.stats import chi2
 from tactile_loc.core.geometry.hand_eye import (
     MEDIAN_6,
     TRUSTED,
-    compute_pose_errors,
     estimate_typical_variance,
     fit_hand_eye,
     measure_turns,
-    move,
     predict,
     screws_agree,
     solve_closed_form,
 )
-from tactile_loc.core.geometry.rigid import (
-    draw_rotations,
-    invert,
-    make_transform,
-    make_translation,
-    move_covariance,
-    rotation_about,
-)
+from tactile_loc.core.geometry.lie import compute_pose_errors, move, move_covariance
+from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation, rotation_about
 
 STD = np.array([2e-4] * 3 + [3e-3] * 3)
 COVARIANCE = np.diag(STD**2)

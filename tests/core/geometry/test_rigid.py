@@ -5,6 +5,7 @@ import pytest
 from message_helpers import naming
 from scipy.spatial.transform import Rotation
 
+from tactile_loc.core.geometry.lie import move_covariance, rotate_covariance
 from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import (
     align_all_to_z,
@@ -18,12 +19,10 @@ from tactile_loc.core.geometry.rigid import (
     is_rigid,
     make_transform,
     make_translation,
-    move_covariance,
     quaternion_to_rotation,
     require_covariance,
     require_rigid,
     require_unit,
-    rotate_covariance,
     rotation_about,
     rotation_angle,
     rotation_to_quaternion,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotate_covariance, rotation_about
+from tactile_loc.core.geometry.lie import rotate_covariance
+from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch

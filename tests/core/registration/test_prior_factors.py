@@ -1,4 +1,4 @@
-"""The pull of a prior in registration, fitted to the prior's values."""
+"""The factors of a prior in registration, fitted to the prior's values."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import pytest
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about, rotation_angle
 from tactile_loc.core.poses.priors import GaussianPrior, RegionPrior
-from tactile_loc.core.registration.gauss_newton import Registration
+from tactile_loc.core.registration.gauss_newton import RegistrationProblem
 from tactile_loc.core.registration.joint_registration import JointRegistration
-from tactile_loc.core.registration.prior_factors import draw_around, fit_pulls
+from tactile_loc.core.registration.prior_factors import draw_around, fit_prior_factors
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 
@@ -27,23 +27,23 @@ def draw_poses(count: int, shift_m: float, turn_rad: float) -> np.ndarray:
 
 def test_the_peak_and_the_information_of_a_gaussian_prior_are_found_from_its_values():
     prior = GaussianPrior(PEAK, STD_M, STD_RAD)
-    pulls = fit_pulls(prior, draw_poses(20, 5e-3, 0.5), MIDDLE_M)
-    assert np.abs(pulls.T[:, :3, 3] - PEAK[:3, 3]).max() < 2e-4
-    assert rotation_angle(pulls.T[:, :3, :3] @ PEAK[:3, :3].T).max() < 0.02
-    assert pulls.information[:, range(3, 6), range(3, 6)] == pytest.approx(1 / STD_M**2, rel=0.02)
-    weights = prior(draw_around(fit_pulls(prior, PEAK[None], MIDDLE_M), 400, MIDDLE_M))
+    factors = fit_prior_factors(prior, draw_poses(20, 5e-3, 0.5), MIDDLE_M)
+    assert np.abs(factors.T[:, :3, 3] - PEAK[:3, 3]).max() < 2e-4
+    assert rotation_angle(factors.T[:, :3, :3] @ PEAK[:3, :3].T).max() < 0.02
+    assert factors.information[:, range(3, 6), range(3, 6)] == pytest.approx(1 / STD_M**2, rel=0.02)
+    weights = prior(draw_around(fit_prior_factors(prior, PEAK[None], MIDDLE_M), 400, MIDDLE_M))
     assert weights[0] == pytest.approx(0, abs=1e-3)
     assert -weights.mean() == pytest.approx(3, rel=0.2)  # half of the six degrees of freedom
 
 
-def test_nothing_pulls_where_a_prior_is_flat_or_excludes_neighbours():
+def test_no_factor_where_a_prior_is_flat_or_excludes_neighbours():
     poses = draw_poses(5, 1e-3, 0.1)
     region = RegionPrior([-1, -1, -1], [1, 1, 1], [0, 0, 0])
     outside = RegionPrior([-1, -1, -1], [1, 1, poses[:, 2, 3].max() + 5e-5], [0, 0, 0])
     for prior, some in ((region, slice(None)), (outside, [poses[:, 2, 3].argmax()])):
-        pulls = fit_pulls(prior, poses[some], np.zeros(3))
-        assert not pulls.information.any()
-        np.testing.assert_array_equal(pulls.T, poses[some])
+        factors = fit_prior_factors(prior, poses[some], np.zeros(3))
+        assert not factors.information.any()
+        np.testing.assert_array_equal(factors.T, poses[some])
 
 
 @pytest.fixture
@@ -66,19 +66,19 @@ def test_a_prior_decides_only_what_a_touch_leaves_open(edge_touch):
     assert rotation_angle(pulled[:3, :3] @ alone[:3, :3].T) < 0.01
 
 
-def test_registration_with_a_pull_of_zero_is_that_without_a_prior(edge_touch, monkeypatch):
+def test_registration_with_factors_of_zero_is_that_without_a_prior(edge_touch, monkeypatch):
     view, true = edge_touch
     starts = np.stack([make_translation([0, 0, z]) @ make_transform(rotation_about([1, 1, 0], a), np.zeros(3)) @ true
                        for z in (-3e-4, 4e-4) for a in (0.05, -0.08)])  # fmt: skip
     both = [View(view.touch, view.scene), View(view.touch, view.scene, make_translation([1e-3, 0, 0]), 1e-4, 1e-3)]
     given = []
-    register = Registration.register
+    register = RegistrationProblem.register
 
     def note(self, *arguments):
-        given.append(len(arguments))
+        given.append(len(arguments[2].T))
         return register(self, *arguments)
 
-    monkeypatch.setattr(Registration, "register", note)
+    monkeypatch.setattr(RegistrationProblem, "register", note)
     for views in (both[:1], both):
         alone, flat = (
             JointRegistration().register_coarsely(views, starts, prior=prior)
@@ -86,5 +86,5 @@ def test_registration_with_a_pull_of_zero_is_that_without_a_prior(edge_touch, mo
         )
         np.testing.assert_array_equal(alone, flat)
         assert not np.array_equal(alone, starts)
-    assert given == [4, 6, 4, 6]  # a pull is given only with a prior
+    assert given == [0, 4, 0, 4]  # factors are given only with a prior
     assert np.isfinite(invert(alone)).all()

@@ -12,8 +12,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry.frame_tree import FrameTree
-from tactile_loc.core.geometry.hand_eye import move
-from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rotate_covariance
+from tactile_loc.core.geometry.lie import move, rotate_covariance
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
 from tactile_loc.core.runtime.errors import FrameError, RecordingError, TouchError
 from tactile_loc.io.streams.ros_messages import RosPose, add_transforms, decode_image, read_transform
 

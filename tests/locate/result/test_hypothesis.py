@@ -118,7 +118,7 @@ def test_one_touch_with_a_sensor_pose_has_a_pose_in_the_base_frame(localizer, re
 
 def test_a_refiner_without_poses_of_several_sensors_gets_the_sensors_error(localizer, monkeypatch):
     """A covariance of the refiner's own is kept, and the error of the sensor's pose is added about the gel's middle."""
-    from tactile_loc.core.geometry.rigid import rotate_covariance
+    from tactile_loc.core.geometry.lie import rotate_covariance
 
     touch, _ = seen_from_base(localizer, 2, 1e-3, 0.0)
     own = np.diag([1e-8] * 3 + [1e-6] * 3)

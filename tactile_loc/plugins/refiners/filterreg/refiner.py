@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import Cloud, CloudRefiner, Registration, cross_matrix, run_in_threads
+from tactile_loc.plugin import Cloud, CloudRefiner, Registration, exponential, run_in_threads
 from tactile_loc.plugins.refiners.filterreg import kernels
 
 Floats = NDArray[np.float64]
@@ -81,7 +81,6 @@ class Mixtures:
 
 
 RIDGE = 1e-3  # share of the equations' mean diagonal that damps directions which a contact hardly determines
-SMALL = 1e-3  # angle below which series are used, rad; their next terms are below rounding
 SETTLED_MM = 1e-3  # RMS move of a candidate's points at convergence
 SPACINGS = 0.5  # least standard deviation, in spacings of neighbouring points: narrower Gaussians would not overlap
 
@@ -163,7 +162,7 @@ class _Moving:
         self.iterations[going] += 1
         self.found[going] |= reached
         these = going[reached]
-        self.T[these] = turn_about(self.T[these], centres[reached], twists[reached])
+        self.T[these] = exponential(twists[reached], centres[reached]) @ self.T[these]
         return moved_mm
 
     def results(self) -> list[Registration]:
@@ -192,29 +191,3 @@ def solve(equations: Floats) -> tuple[Floats, Floats]:
     twists, moved_mm = np.full((len(equations), 6), np.nan), np.full(len(equations), np.nan)
     twists[known], moved_mm[known] = scaled * unit, np.sqrt((scaled**2).sum(axis=1))
     return twists, moved_mm
-
-
-def exponential(twists: Floats) -> Floats:
-    """Return the rigid motions (K, 4, 4), translation in mm, of twists (K, 6)."""
-    x, y, z = twists[:, :3].T
-    angle = np.sqrt(x * x + y * y + z * z)
-    small, squared_angle = angle < SMALL, angle**2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        sine = np.where(small, 1 - squared_angle / 6, np.sin(angle) / angle)
-        versine = np.where(small, 0.5 - squared_angle / 24, (1 - np.cos(angle)) / squared_angle)
-        rest = np.where(small, 1 / 6 - squared_angle / 120, (angle - np.sin(angle)) / angle**3)
-    W = cross_matrix(twists[:, :3])
-    squared, one = W @ W, np.eye(3)
-    sine, versine, rest = (factor[:, None, None] for factor in (sine, versine, rest))
-    motions = np.tile(np.eye(4), (len(twists), 1, 1))
-    motions[:, :3, :3] = one + sine * W + versine * squared
-    motions[:, :3, 3] = ((one + versine * W + rest * squared) @ twists[:, 3:, None])[..., 0]
-    return motions
-
-
-def turn_about(T: Floats, centres: Floats, twists: Floats) -> Floats:
-    """Return the poses (K, 4, 4), translation in mm, after twists (K, 6) about centres (K, 3), mm."""
-    motions = exponential(twists)
-    motions[:, :3, 3] += centres - (motions[:, :3, :3] @ centres[..., None])[..., 0]
-    result: Floats = motions @ T
-    return result

@@ -15,9 +15,8 @@ from tactile_loc.plugin import (
     TriangleMesh,
     bring_to_contact,
     draw_nearest_depths,
+    exponential,
     find_drawing,
-    make_transform,
-    make_translation,
     njit,
     run_in_threads,
 )
@@ -96,11 +95,8 @@ class Pictures:
 
     def move(self, T_sensor_object: Poses, moves: Floats) -> Poses:
         """Return the poses (N, 4, 4), metres, after `moves` (N, 6), in steps."""
-        from scipy.spatial.transform import Rotation
-
         by = moves * self.steps
-        turn = make_transform(Rotation.from_rotvec(by[:, 3:]).as_matrix(), np.zeros(3))
-        return make_translation(self.centre_m + by[:, :3]) @ turn @ make_translation(-self.centre_m) @ T_sensor_object
+        return exponential(np.roll(by, 3, axis=1), self.centre_m) @ T_sensor_object
 
     def _draw_depths(self, depth_m: Float32) -> Float32:
         """Return the pictures (N, P) of contact depths (N, H, W), metres, which may exceed the press depth."""

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from tactile_loc.core.registration.observations import MILLI, observe
-from tactile_loc.core.registration.touch_image import find_nearest
+from tactile_loc.core.registration.observations import MILLI, find_nearest, observe
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 
