@@ -3,7 +3,7 @@
 #     docker build -t tactile-loc .
 #     docker run --rm -v "$PWD:/work" -v tactile-loc-store:/store tactile-loc run --out result
 #
-# For extras, add --build-arg EXTRAS='[learned,recordings]'.
+# For extras, add --build-arg EXTRAS='[learned,recordings]'. For annexes, add --build-arg ANNEXES='app library'.
 FROM python:3.11-slim-bookworm
 
 # The packages of scripts/system-packages.sh
@@ -12,10 +12,14 @@ RUN apt-get update && apt-get install -y --no-install-recommends \
     && rm -rf /var/lib/apt/lists/*
 
 ARG EXTRAS=""
+ARG ANNEXES=""
 COPY pyproject.toml README.md LICENSE constraints.txt /source/
 COPY tactile_loc /source/tactile_loc
 COPY cli /source/cli
-RUN pip install --no-cache-dir -c /source/constraints.txt "/source${EXTRAS}" && tactile-loc doctor --compile
+COPY plugins_contrib /source/plugins_contrib
+RUN pip install --no-cache-dir -c /source/constraints.txt "/source${EXTRAS}" \
+        $(for name in ${ANNEXES}; do echo "/source/plugins_contrib/tactile-loc-${name}"; done) \
+    && tactile-loc doctor --compile
 
 RUN useradd --create-home touch && mkdir /work /store && chown touch /work /store
 USER touch

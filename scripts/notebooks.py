@@ -23,7 +23,8 @@ from nbclient.exceptions import CellExecutionError
 
 ROOT = Path(__file__).parents[1]
 SOURCES, EXECUTED = ROOT / "docs" / "notebooks", ROOT / "out" / "notebooks"
-USED = ("tactile_loc", "cli/tactile_loc_cli", "constraints.txt")  # what the outputs depend on, besides the notebook
+# what the outputs depend on, besides the notebook
+USED = ("tactile_loc", "cli/tactile_loc_cli", "plugins_contrib", "constraints.txt")
 KEY = "executed_with"  # the metadata of an executed notebook that holds its key
 CELL_TIMEOUT_S = 600
 

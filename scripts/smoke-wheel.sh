@@ -85,4 +85,17 @@ needs sweep sweep --object hook --out refused
 needs testing plugins refiner icp --check --properties
 needs video calibrate empty.mp4 --ball-radius 3 --mm-per-px 0.06 --out refused
 needs view run --rerun refused.rrd --out refused
+
+# The annexes are built and installed from a copy of the tree, without their libraries, and add their commands.
+for folder in "$tree"/plugins_contrib/tactile-loc-app "$tree"/plugins_contrib/tactile-loc-benchmark \
+    "$tree"/plugins_contrib/tactile-loc-library; do
+    [ -e "$folder/pyproject.toml" ] || continue
+    name=$(basename "$folder")
+    say "building and installing $name"
+    cp -R "$folder" "$place/$name"
+    "$python" -m build --no-isolation --wheel --outdir "$place/annexes" "$place/$name" >build.log 2>&1 ||
+        give_up "$name cannot be built: $(cat build.log)"
+    ../venv/bin/python -m pip install -qq --no-index --no-deps "$place/annexes/$(echo "$name" | tr - _)"-*.whl
+    ../venv/bin/tactile-loc --help | grep -qF "Commands of $name" || give_up "$name adds no commands"
+done
 say "the wheel works"

@@ -19,7 +19,7 @@ PYTHON = """\
 #!/bin/sh
 echo "$PWD: python $*" >> "{log}"
 case "$1 $2" in
-"-m build") {build} ;;
+"-m build") case "$*" in *annexes*) ;; *) {build} ;; esac ;;
 "-m venv") mkdir -p "$3/bin" && cp "$0" "$3/bin/python" && cp "{command}" "$3/bin/tactile-loc" ;;
 "-m json.tool") exec "{python}" "$@" ;;
 esac
@@ -36,6 +36,7 @@ case "$*" in
 doctor) exit {doctor} ;;
 "run --out result") mkdir -p result && echo '{result}' > result/result.json && echo picture > result/result.png ;;
 --version) ;;
+--help) echo "Commands of tactile-loc-app, Commands of tactile-loc-benchmark, Commands of tactile-loc-library" ;;
 *--camera*) refuse camera ;;
 benchmark*) refuse benchmark ;;
 *--finger*) refuse clearance ;;

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc.slots.registry import CommandSpec, hookimpl
+from tactile_loc.slots.registry import COMMAND, CommandSpec, ComponentKind, hookimpl
 
 # name, function or application, summary
 COMMANDS = (
@@ -27,6 +27,15 @@ COMMANDS = (
 )
 # Commands of packages in plugins_contrib, which are installed separately.
 ANNEXES = {"app": "tactile-loc-app", "benchmark": "tactile-loc-benchmark", "library": "tactile-loc-library"}
+
+
+@hookimpl
+def register_kinds() -> list[ComponentKind]:
+    """Return the kind of plugin that is a command: how it is checked, and what `new-plugin` writes."""
+    usage = "tactile-loc {name} --object pin"
+    return [
+        ComponentKind(COMMAND, "tactile_loc.testing.commands", f"{__name__}.scaffold", "the size of an object", usage)
+    ]
 
 
 @hookimpl

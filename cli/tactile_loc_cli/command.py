@@ -177,7 +177,7 @@ def _make_completer(offers: Callable[[typer.Context], Offers]) -> Callable[..., 
 
 
 def _offer_components(slot: str, _: typer.Context) -> Offers:
-    yield from {c.spec.name: c.spec.summary for c in registry().components if c.spec.slot == slot}.items()
+    yield from {c.spec.name: c.spec.summary for c in registry().offers if c.spec.slot == slot}.items()
 
 
 def _offer_demo_objects(_: typer.Context) -> Offers:

@@ -7,13 +7,13 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from itertools import groupby
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
 from tactile_loc.core.runtime.errors import MissingLibraryError, PluginLoadError, TactileLocError
-from tactile_loc.slots.registry import BUILT_IN, RegisteredCommand, registry
+from tactile_loc.slots.registry import BUILT_IN, COMMAND, CommandSpec, Registered, registry
 from tactile_loc_cli import ANNEXES
 from tactile_loc_cli.command import Quiet, Verbose, build_command, build_failing_command, make_typer
 from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, UsageError, describe_usage_error, tell
@@ -27,31 +27,33 @@ class OfferedCommands(Mapping[str, Any]):
 
     def __iter__(self) -> Iterator[str]:
         """Yield the names of the offered commands, in the order found."""
-        return iter(dict.fromkeys(c.spec.name for c in registry().commands))
+        return iter(registry().names(COMMAND))
 
     def __len__(self) -> int:
-        return len(list(iter(self)))
+        return len(registry().names(COMMAND))
 
     def __contains__(self, name: object) -> bool:
-        return any(c.spec.name == name for c in registry().commands) or name in ANNEXES
+        return name in registry().names(COMMAND) or name in ANNEXES
 
     def __getitem__(self, name: str) -> Any:
         """Return the parser of a command. If the command cannot be loaded, its parser raises the reason."""
         if name not in self:
             raise KeyError(name)
         try:
-            return _load_command(registry().find_command(name) or _report_missing(name))
+            if name not in registry().names(COMMAND):
+                _report_missing(name)
+            return _load_command(registry().find_command(name))
         except TactileLocError as error:
             return build_failing_command(name, error)
 
 
 @cache
-def _load_command(found: RegisteredCommand) -> Any:
+def _load_command(found: Registered[CommandSpec]) -> Any:
     """Import a command, and return its parser. Raises PluginLoadError or MissingLibraryError."""
     return build_command(found.spec, registry().load_command(found))
 
 
-def _report_missing(name: str) -> RegisteredCommand:
+def _report_missing(name: str) -> NoReturn:
     """Raise the reason why a command of an annex is not offered."""
     annex = ANNEXES[name]
     for failure in registry().failures:

@@ -12,12 +12,12 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, ClassVar, Generic, TypeVar
 
 import pluggy
 from pydantic import ValidationError
@@ -36,6 +36,7 @@ from tactile_loc.slots.interface import INTERFACE_VERSION, explain_version, requ
 
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
+COMMAND = "command"
 COMMAND_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 hookspec = pluggy.HookspecMarker(PROJECT)
@@ -69,6 +70,7 @@ class CommandSpec:
     command runs. `requires` names the pip distribution of a library that the command needs and its package does not.
     """
 
+    slot: ClassVar[str] = COMMAND
     name: str
     summary: str
     target: str
@@ -113,19 +115,14 @@ BUILT_IN = "tactile-loc"
 ADDED = "this program"  # stands for the distribution of components that a program adds
 
 
-@dataclass(frozen=True)
-class Registered:
-    """A component that a distribution offers."""
-
-    spec: ComponentSpec
-    distribution: str
+Spec = TypeVar("Spec", ComponentSpec, CommandSpec)
 
 
 @dataclass(frozen=True)
-class RegisteredCommand:
-    """A command that a distribution offers."""
+class Registered(Generic[Spec]):
+    """A component or a command that a distribution offers."""
 
-    spec: CommandSpec
+    spec: Spec
     distribution: str
 
 
@@ -145,8 +142,8 @@ class Registry:
     """
 
     def __init__(self, plugins: Iterable[EntryPoint]) -> None:
-        self.components: list[Registered] = []
-        self.commands: list[RegisteredCommand] = []
+        self.components: list[Registered[ComponentSpec]] = []
+        self.commands: list[Registered[CommandSpec]] = []
         self.failures: list[LoadFailure] = []
         self.kinds: dict[str, ComponentKind | None] = dict.fromkeys(SLOTS)  # slots have no ComponentKind
         self._classes: dict[ComponentSpec, Any] = {}
@@ -183,12 +180,12 @@ class Registry:
         for command in commands:
             _require_command_spec(command)
         self.kinds |= kinds
-        self.commands += [RegisteredCommand(spec, _name_distribution(plugin)) for spec in commands]
+        self.commands += [Registered(spec, _name_distribution(plugin)) for spec in commands]
         return components
 
     def _require_component_spec(self, spec: Any) -> None:
         """Raise TypeError unless this is the spec of a component of a known kind."""
-        if not isinstance(spec, ComponentSpec) or spec.slot not in self.kinds:
+        if not isinstance(spec, ComponentSpec) or spec.slot not in self.kinds or spec.slot == COMMAND:
             raise TypeError(f"offers {spec!r}; the slots are {', '.join(self.kinds)}")
         if not isinstance(spec.interface, int) or spec.interface < 1:
             raise TypeError(f"offers {spec!r}; its interface must be a whole number, 1 or more")
@@ -217,13 +214,25 @@ class Registry:
         self.components = [*others, Registered(spec, ADDED)]
         self._classes[spec] = kind
 
-    def names(self, slot: str) -> list[str]:
-        """Return the names of a slot's components, in the order found."""
-        return list(dict.fromkeys(c.spec.name for c in self.components if c.spec.slot == slot))
+    @property
+    def offers(self) -> list[Registered[Any]]:
+        """All components and commands, in the order found."""
+        return [*self.components, *self.commands]
 
-    def find(self, slot: str, name: str) -> Registered:
+    def names(self, slot: str) -> list[str]:
+        """Return the names of a slot's components, or of the commands, in the order found."""
+        return list(dict.fromkeys(c.spec.name for c in self.offers if c.spec.slot == slot))
+
+    def find(self, slot: str, name: str) -> Registered[ComponentSpec]:
         """Return the component with this slot and name. Raises UnknownPluginError or PluginConflictError."""
-        found = [c for c in self.components if (c.spec.slot, c.spec.name) == (slot, name)]
+        return self._choose([c for c in self.components if (c.spec.slot, c.spec.name) == (slot, name)], slot, name)
+
+    def find_command(self, name: str) -> Registered[CommandSpec]:
+        """Return the command with this name. Raises UnknownPluginError or PluginConflictError."""
+        return self._choose([c for c in self.commands if c.spec.name == name], COMMAND, name)
+
+    def _choose(self, found: Sequence[Registered[Spec]], slot: str, name: str) -> Registered[Spec]:
+        """Return the only one that was found. Raises UnknownPluginError or PluginConflictError."""
         if not found:
             raise UnknownPluginError(self._describe_unknown(slot, name))
         if len(found) > 1:
@@ -249,31 +258,21 @@ class Registry:
             self._classes[found.spec] = self._import_component(found)
         return self._classes[found.spec]
 
-    def _import_component(self, found: Registered) -> Any:
+    def _import_component(self, found: Registered[ComponentSpec]) -> Any:
         slot = found.spec.slot
 
         def require(kind: Any) -> None:
             _require_component(kind, slot)
             require_interface(kind, slot)
 
-        return _import_target(found, f"the {slot} {found.spec.name!r}", require)
+        return _import_target(found, require)
 
-    def find_command(self, name: str) -> RegisteredCommand | None:
-        """Return the command with this name; None if there is none. Raises PluginConflictError if there are two."""
-        found = [c for c in self.commands if c.spec.name == name]
-        if len(found) > 1:
-            raise PluginConflictError(
-                f"two packages offer the command {name!r}: {found[0].distribution} and {found[1].distribution}; "
-                "uninstall one, or choose with TACTILE_LOC_PLUGINS"
-            )
-        return found[0] if found else None
-
-    def load_command(self, found: RegisteredCommand) -> Any:
+    def load_command(self, found: Registered[CommandSpec]) -> Any:
         """Import and return a command's function or typer application.
 
         Raises PluginLoadError or MissingLibraryError.
         """
-        return _import_target(found, f"the command {found.spec.name!r}", _require_command)
+        return _import_target(found, _require_command)
 
     def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
         """Return a component with validated options. Raises ConfigError for unknown or invalid options."""
@@ -281,13 +280,17 @@ class Registry:
         return kind(validate_options(kind.Options, options or {}, f"the {slot} {name!r}"))
 
 
-def _import_target(found: Registered | RegisteredCommand, what: str, require: Callable[[Any], None]) -> Any:
-    """Import and return the target of a spec, which `require` checks. `what` names the target in messages."""
+def _import_target(found: Registered[Any], require: Callable[[Any], None]) -> Any:
+    """Import and return the target of a spec, which `require` checks.
+
+    Raises PluginLoadError or MissingLibraryError.
+    """
+    what = f"the {found.spec.slot} {found.spec.name!r}"
     module, _, attribute = found.spec.target.partition(":")
     try:
         target = getattr(importlib.import_module(module), attribute)
         require(target)
-        logger.debug("%s is %s of %s.", what.capitalize(), found.spec.target, found.distribution)
+        logger.debug("T%s is %s of %s.", what[1:], found.spec.target, found.distribution)
         return target
     except Exception as error:
         if isinstance(error, ModuleNotFoundError) and not _is_part_of(error.name, module):
@@ -295,7 +298,7 @@ def _import_target(found: Registered | RegisteredCommand, what: str, require: Ca
             raise MissingLibraryError(
                 f"{what} needs {error.name}, which is not installed: pip install {library}"
             ) from error
-        alternative = "component" if isinstance(found, Registered) else "command"
+        alternative = "component" if isinstance(found.spec, ComponentSpec) else "command"
         raise PluginLoadError(
             f"{what} of {found.distribution} failed on import ({type(error).__name__}: {error}); "
             f"update or uninstall that package, or choose another {alternative}"

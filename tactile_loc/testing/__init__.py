@@ -27,8 +27,8 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from tactile_loc.slots.component import Component
-from tactile_loc.slots.registry import registry
-from tactile_loc.testing import contract
+from tactile_loc.slots.registry import CommandSpec, registry
+from tactile_loc.testing import commands, contract
 from tactile_loc.testing.contract import Check, ContractError
 
 __all__ = [
@@ -36,27 +36,32 @@ __all__ = [
 ]  # fmt: skip
 
 
-def list_checks(component: Component) -> list[Check]:
+def list_checks(component: Component | CommandSpec) -> list[Check]:
     """Return the checks, functions of one component, for the component's slot and declared capabilities.
 
-    Raises TypeError if `component` is not a component, for instance a class instead of an instance.
+    For the spec of a command, return the checks of commands. Raises TypeError if `component` is not a component, for
+    instance a class instead of an instance.
     """
+    if isinstance(component, CommandSpec):
+        return commands.checks()
     of_slot = _find_slot_module(component)
     common = contract.checks(component.capabilities)
     return common if of_slot is None else [*common, *of_slot.checks(component.capabilities)]
 
 
-def list_properties(component: Component) -> list[Check]:
+def list_properties(component: Component | CommandSpec) -> list[Check]:
     """Return the properties, functions of one component, for the component's slot and declared capabilities.
 
     A property raises MissingLibraryError if hypothesis is not installed. Raises TypeError if `component` is not a
     component.
     """
+    if isinstance(component, CommandSpec):
+        return []
     of_slot = _find_slot_module(component)
     return [] if of_slot is None else list(of_slot.properties(component.capabilities))
 
 
-def parametrize_with_checks(components: Iterable[Component]) -> Any:
+def parametrize_with_checks(components: Iterable[Component | CommandSpec]) -> Any:
     """Return a pytest mark with one case for every component and check: arguments `component` and `check`."""
     return _parametrize(components, list_checks)
 
@@ -77,11 +82,13 @@ def _find_slot_module(component: Component) -> Any:
     return importlib.import_module(kind.checks if kind else f"tactile_loc.testing.{component.slot}s")
 
 
-def _parametrize(components: Iterable[Component], chosen: Callable[[Component], list[Check]]) -> Any:
+def _parametrize(
+    components: Iterable[Component | CommandSpec], chosen: Callable[[Component | CommandSpec], list[Check]]
+) -> Any:
     import pytest
 
     cases = [
-        pytest.param(component, check, id=f"{type(component).__name__}-{check.__name__}")
+        pytest.param(component, check, id=f"{getattr(component, 'name', type(component).__name__)}-{check.__name__}")
         for component in components
         for check in chosen(component)
     ]

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from tactile_loc.slots.component import Capabilities, Component
 from tactile_loc.slots.encoder import Encoder
+from tactile_loc.slots.registry import CommandSpec
 from tactile_loc.testing import contract, list_checks, list_properties
 from tactile_loc.testing.contract import Check, ContractError
 from tactile_loc.testing.properties import require_hypothesis
@@ -31,7 +32,7 @@ class CheckResult:
         return not self.problem
 
 
-def run_checks(component: Component, properties: bool = False) -> list[CheckResult]:
+def run_checks(component: Component | CommandSpec, properties: bool = False) -> list[CheckResult]:
     """Run all checks that apply to the component, in order. If `properties` is true, then run its properties.
 
     An encoder that needs training is first trained on `make_training_problem()`. If the training fails, its result is
@@ -42,7 +43,7 @@ def run_checks(component: Component, properties: bool = False) -> list[CheckResu
     return list(iter_checks(component, properties))
 
 
-def iter_checks(component: Component, properties: bool = False) -> Iterator[CheckResult]:
+def iter_checks(component: Component | CommandSpec, properties: bool = False) -> Iterator[CheckResult]:
     """Yield the results of `run_checks`, each as soon as it is known."""
     if properties:
         require_hypothesis()
@@ -63,7 +64,7 @@ def train(encoder: Encoder) -> None:
     encoder.fit(make_training_problem())
 
 
-def _select_checks(component: Component, properties: bool) -> list[Check]:
+def _select_checks(component: Component | CommandSpec, properties: bool) -> list[Check]:
     """Return the checks that apply. If the capabilities are not declared, these are only the checks of every slot."""
     if isinstance(component, Component) and not isinstance(component.capabilities, Capabilities):
         return contract.checks(Capabilities())

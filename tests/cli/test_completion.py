@@ -54,6 +54,7 @@ def test_demo_objects_are_completed():
 
 def test_slots_and_their_components_are_completed():
     assert bash("tactile-loc plugins ") == set(registry().kinds)
+    assert "run" in bash("tactile-loc plugins command ")
     assert bash("tactile-loc plugins grid ") == set(registry().names("grid"))
     assert bash("tactile-loc plugins nonsense ") == set()
 

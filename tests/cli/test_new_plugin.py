@@ -17,7 +17,7 @@ from tactile_loc_cli.scaffold.command import new_plugin
 from tactile_loc_cli.scaffold.naming import LONGEST, Naming
 
 from tactile_loc.core.runtime.errors import OutputError
-from tactile_loc.slots.registry import SLOTS, registry
+from tactile_loc.slots.registry import COMMAND, SLOTS, registry
 
 OUR_RULES = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -68,12 +68,14 @@ def test_every_new_package_passes_all_contract_checks_and_its_own_tests(site):
             line for line in done.stdout.splitlines() if f"test_my_{naming.module}.py::" in line and "PASSED" in line
         ]
         least = 8 if slot in SLOTS else 2  # the checks of all components
-        assert len([line for line in passed if f"[{naming.class_name}-check_" in line]) > least
+        checked = naming.name if slot == COMMAND else naming.class_name
+        assert len([line for line in passed if f"[{checked}-check_" in line]) > least
         assert [line for line in passed if "test_contract" not in line], f"{slot} has no own test that passed"
 
 
 def test_every_new_component_is_found(site):
-    listed = json.loads(run(site, command("plugins", "--json")).stdout)["components"]
+    told = json.loads(run(site, command("plugins", "--json")).stdout)
+    listed = told["components"] + told["commands"]
     ours = {c["slot"]: c for c in listed if c["distribution"] == Naming(c["slot"], name_of(c["slot"])).distribution}
     assert ours.keys() == set(registry().kinds)
     assert all(c["name"] == name_of(slot) and c["summary"] for slot, c in ours.items())
@@ -184,7 +186,8 @@ def test_a_failed_write_leaves_no_files(tmp_path, monkeypatch):
         ("grid", "two-face-3d", "TwoFace3dGrid"),
         ("touch-source", "my-touch-source", "MyTouchSource"),
         ("touch-source", "my-source", "MyTouchSource"),
+        ("command", "my-command", "measure_object"),
     ],
 )
-def test_the_class_is_named_after_the_component(slot, name, class_name):
+def test_the_class_or_function_of_the_template_has_a_name(slot, name, class_name):
     assert Naming(slot, name).class_name == class_name

@@ -1,4 +1,4 @@
-"""`tactile-loc plugins`, which lists and checks components, and `tactile-loc objects`, which lists the demo objects."""
+"""`tactile-loc plugins`, which lists and checks what packages offer, and `tactile-loc objects`, the demo objects."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tactile_loc.slots.registry import COMMAND
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.failures import Finding
 from tactile_loc_cli.options import require_slot, set_option
@@ -50,10 +51,11 @@ def plugins(
 ) -> dict[str, Any]:
     """List components and their options, or check one.
 
-    Without SLOT and NAME, the components of every slot are listed; with both, the options of one component.
+    Without SLOT and NAME, the components of every slot and all commands are listed; with both, the options of one
+    component. The slot of commands is `command`.
 
-    --check runs the contract checks of one component and reports each failure. --properties also tests general
-    properties on random inputs: frames, orders, symmetric copies, image sizes, mirror images.
+    --check runs the contract checks of one component or command and reports each failure. --properties also tests
+    general properties on random inputs: frames, orders, symmetric copies, image sizes, mirror images.
     """
     from tactile_loc.core.runtime.errors import ConfigError
     from tactile_loc.slots.registry import registry
@@ -74,26 +76,27 @@ def plugins(
 def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
     if slot is not None:
         require_slot(slot)
-    shown = [c for s in found.kinds for c in found.components if c.spec.slot == s and slot in (None, s)]
-    components = [_describe_component(c) for c in shown]
-    _say_columns(("slot", "name", "distribution", "summary"), components)
+    shown = [c for s in found.kinds for c in found.offers if c.spec.slot == s and slot in (None, s)]
+    rows = [_describe(c) for c in shown]
+    _say_columns(("slot", "name", "distribution", "summary"), rows)
     conflicts = _find_conflicts(shown)
     failures = [asdict(failure) for failure in found.failures]
     for c in conflicts:
         say(f"conflict: {' and '.join(c['distributions'])} both offer a {c['slot']} {c['name']!r}")
+    components = [row for row in rows if row["slot"] != COMMAND]
     for component in components:
         _say_interface(component)
     for f in failures:
         say(f"not loaded: {f['plugin']} of {f['distribution']}: {f['error']}")
-    return {"components": components, "conflicts": conflicts, "not_loaded": failures}
+    commands = [row for row in rows if row["slot"] == COMMAND]
+    return {"components": components, "commands": commands, "conflicts": conflicts, "not_loaded": failures}
 
 
-def _describe_component(registered: Registered) -> dict[str, Any]:
+def _describe(registered: Registered[Any]) -> dict[str, Any]:
+    """Return what a spec states about a component or a command."""
     spec = registered.spec
-    return {
-        "slot": spec.slot, "name": spec.name, "distribution": registered.distribution, "summary": spec.summary,
-        "interface": spec.interface,
-    }  # fmt: skip
+    about = {"slot": spec.slot, "name": spec.name, "distribution": registered.distribution, "summary": spec.summary}
+    return about if spec.slot == COMMAND else {**about, "interface": spec.interface}
 
 
 def _say_interface(component: dict[str, Any]) -> None:
@@ -104,7 +107,7 @@ def _say_interface(component: dict[str, Any]) -> None:
         say("interface: the {slot} {name!r} of {distribution} {reason}".format(reason=reason, **component))
 
 
-def _find_conflicts(components: Sequence[Registered]) -> list[dict[str, Any]]:
+def _find_conflicts(components: Sequence[Registered[Any]]) -> list[dict[str, Any]]:
     distributions: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for c in components:
         distributions[c.spec.slot, c.spec.name].append(c.distribution)
@@ -116,7 +119,12 @@ def _find_conflicts(components: Sequence[Registered]) -> list[dict[str, Any]]:
 
 
 def _show_options(found: Registry, slot: str, name: str) -> dict[str, Any]:
-    component = _describe_component(found.find(slot, name))
+    if slot == COMMAND:
+        command = _describe(found.find_command(name))
+        say(_format_heading(command))
+        say(f"for its options, see tactile-loc {name} -h")
+        return command
+    component = _describe(found.find(slot, name))
     kind = found.load(slot, name)
     options = [_describe_option(f"{slot}.{key}", field) for key, field in kind.Options.model_fields.items()]
     say(_format_heading(component))
@@ -156,21 +164,22 @@ def _say_columns(names: Sequence[str], rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _check(found: Registry, slot: str, name: str, words: list[str], properties: bool) -> dict[str, Any]:
-    """Run the contract checks of a component. Raises Finding if a check fails."""
+    """Run the contract checks of a component or a command. Raises Finding if a check fails."""
     from tactile_loc.testing.running import iter_checks
 
-    about = _describe_component(found.find(slot, name))
-    component = _make(found, slot, name, words)
+    registered: Registered[Any] = found.find_command(name) if slot == COMMAND else found.find(slot, name)
+    about = _describe(registered)
+    checked = registered.spec if slot == COMMAND else _make(found, slot, name, words)
     say(_format_heading(about))
     checks = []
-    for result in iter_checks(component, properties):
+    for result in iter_checks(checked, properties):
         say(f"ok      {result.name}" if result.passed else f"FAILED  {result.name}: {result.problem}")
         checks.append({**asdict(result), "passed": result.passed})
     failed = sum(not c["passed"] for c in checks)
     passed = len(checks) - failed
     say(f"{passed} of {len(checks)} checks passed" + (f", {failed} failed" if failed else ""))
-    options = component.options.model_dump(mode="json")
-    outcome = {**about, "options": options, "passed": passed, "failed": failed, "checks": checks}
+    options = {} if slot == COMMAND else {"options": checked.options.model_dump(mode="json")}
+    outcome = {**about, **options, "passed": passed, "failed": failed, "checks": checks}
     if failed:
         raise Finding(BROKEN_CONTRACT, outcome)
     return outcome

@@ -14,10 +14,10 @@ INTRODUCTION = """\
 This page is generated: `python -m tactile_loc_cli.scaffold.examples` writes it, and a test compares it with the
 program.
 
-`tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot, or for a source or method of a
-[benchmark](benchmark.md). This page shows the example module of each slot. All examples pass the [contract
-checks](plugins.md#contract-checks). Replace the computation, and keep the structure. [Plugins](plugins.md) explains the
-hook and the packaging, which are the same for every slot.
+`tactile-loc new-plugin SLOT NAME` writes a package for a component of any slot, for a source or method of a
+[benchmark](benchmark.md), or for a command. This page shows the example module of each slot. All examples pass the
+[contract checks](plugins.md#contract-checks). Replace the computation, and keep the structure. [Plugins](plugins.md)
+explains the hook and the packaging, which are the same for every slot.
 
 | slot | what the example does |
 |---|---|

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from tactile_loc.core.runtime.errors import ConfigError, PluginConflictError
-from tactile_loc.slots.registry import registry
+from tactile_loc.slots.registry import COMMAND, registry
 from tactile_loc_cli.options import require_slot
 
 KEBAB = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -27,8 +27,9 @@ class Naming:
     def __post_init__(self) -> None:
         require_slot(self.slot)
         if not KEBAB.fullmatch(self.name) or len(self.name) > LONGEST:
+            kind = COMMAND if self.slot == COMMAND else "component"
             raise ConfigError(
-                f"a component cannot be called {self.name!r}; use at most {LONGEST} lower-case letters and digits, "
+                f"a {kind} cannot be called {self.name!r}; use at most {LONGEST} lower-case letters and digits, "
                 f"words joined by hyphens, such as my-{self.slot}"
             )
 
@@ -44,11 +45,18 @@ class Naming:
 
     @property
     def class_name(self) -> str:
-        """The name of the class: MyRefiner for my-refiner, SplineRefiner for spline."""
+        """The name of the class or of the function: MyRefiner for my-refiner, SplineRefiner for spline."""
+        if self.slot == COMMAND:
+            return "measure_object"  # the function of the template
         words, of_slot = self.name.split("-"), self.slot.split("-")
         while len(words) > 1 and words[-1] in of_slot:
             words.pop()
         return "".join(word.capitalize() for word in [*words, *of_slot])
+
+    @property
+    def hook(self) -> str:
+        """The name of the template of the package's hook."""
+        return "hook_command.py" if self.slot == COMMAND else "hook.py"
 
     @property
     def module(self) -> str:
@@ -63,7 +71,7 @@ class Naming:
 
     def require_free(self) -> None:
         """Raise PluginConflictError if a component of the slot or an installed package already has this name."""
-        for found in registry().components:
+        for found in registry().offers:
             if (found.spec.slot, found.spec.name) == (self.slot, self.name):
                 raise PluginConflictError(
                     f"{found.distribution} already has a {self.slot} {self.name!r}; choose another name"

@@ -23,6 +23,10 @@ SUMMARIES = {
     "refiner": "slides the contact's centre onto the touch's",
     "fuser": "product of the touches' probabilities and the prior",
 }
+ADVICE_OF_COMPONENTS = (
+    "Increase its `version` when the same input gives another output: the store keeps the results of each version."
+)
+ADVICE = {"command": "`tactile_loc.commands` offers what commands share: options, output, failures and workers."}
 
 
 def describe_example(slot: str) -> str:
@@ -35,10 +39,11 @@ def render(naming: Naming) -> dict[str, str]:
     """Return the text of each file of the package. The keys are the files' paths in the package's folder."""
     named = ("slot", "name", "distribution", "package", "class_name", "module", "usage")
     values = {**{name: getattr(naming, name) for name in named}, "summary": describe_example(naming.slot)}
+    values["advice"] = ADVICE.get(naming.slot, ADVICE_OF_COMPONENTS)
     templates = {
         "pyproject.toml": "pyproject.toml",
         "README.md": "README.md",
-        f"{naming.package}/__init__.py": "hook.py",
+        f"{naming.package}/__init__.py": naming.hook,
         f"{naming.package}/{naming.module}.py": f"{naming.module}.py",
         f"tests/test_{naming.name.replace('-', '_')}.py": f"test_{naming.module}.py",
     }

@@ -1,0 +1,93 @@
+"""Contract checks for commands. They import a command's target, and read the declarations of its options."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from tactile_loc.slots.registry import CommandSpec, Registered, Registry
+from tactile_loc.testing.contract import Check, require
+
+SHARED = {"--json", "-v", "--verbose", "-q", "--quiet", "-h", "--help"}  # tactile-loc adds these to every command
+HEAVY = ("faiss", "matplotlib", "numba", "open3d", "scipy", "torch", "trimesh")
+PROBE = "import sys, {module}; print(*[name for name in {heavy!r} if name in sys.modules])"
+
+
+def checks() -> list[Check]:
+    """Return the checks of a command, functions of its spec."""
+    return [check_target, check_summary, check_help, check_options_are_described, check_shared_options,
+            check_import_is_light]  # fmt: skip
+
+
+def check_target(spec: CommandSpec) -> None:
+    """The target is a function, or a typer application with commands."""
+    functions = list_functions(spec)
+    require(functions, f"the application {spec.target} must have commands: functions with @application.command()")
+
+
+def check_summary(spec: CommandSpec) -> None:
+    """The summary is one sentence, as in the list of commands."""
+    good = spec.summary[:1].isupper() and spec.summary.endswith(".") and "\n" not in spec.summary
+    require(good, f"the summary must be one sentence with a capital and a full stop, not {spec.summary!r}")
+
+
+def check_help(spec: CommandSpec) -> None:
+    """Every function has a docstring, which is its help; that of a single command begins with the summary."""
+    for name, function in list_functions(spec).items():
+        about = inspect.getdoc(function) or ""
+        require(about, f"the command {name} needs a docstring, which is its help")
+        if name == spec.name:
+            first = about.partition("\n")[0]
+            require(first == spec.summary, f"the docstring must begin with the summary {spec.summary!r}, not {first!r}")
+
+
+def check_options_are_described(spec: CommandSpec) -> None:
+    """Every option and argument has a help text."""
+    for name, function in list_functions(spec).items():
+        for parameter, declared in _list_declared(function):
+            require(
+                declared is not None and declared.help,
+                f"every option needs Annotated[..., declare(...)] with a help text; {parameter} of {name} has none",
+            )
+
+
+def check_shared_options(spec: CommandSpec) -> None:
+    """No option takes a name of the options that tactile-loc adds to every command."""
+    for name, function in list_functions(spec).items():
+        for _, declared in _list_declared(function):
+            # typer takes the first flag as a default
+            flags = (getattr(declared, "default", None), *(getattr(declared, "param_decls", None) or ()))
+            taken = SHARED & {flag for flag in flags if isinstance(flag, str)}
+            require(not taken, f"{name} must not declare {', '.join(sorted(taken))}; every command has it already")
+
+
+def check_import_is_light(spec: CommandSpec) -> None:
+    """The module of the target imports no heavy library, so that help and completion are instant."""
+    probe = PROBE.format(module=spec.target.partition(":")[0], heavy=HEAVY)
+    found = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=False).stdout.split()
+    require(not found, f"the module must not import {', '.join(found)}; import it in the function that uses it")
+
+
+def list_functions(spec: CommandSpec) -> dict[str, Callable[..., Any]]:
+    """Return the functions of a command by name; several if its target is a typer application."""
+    target = Registry([]).load_command(Registered(spec, "this package"))
+    if inspect.isfunction(target):
+        return {spec.name: target}
+    named = ((info.name, info.callback) for info in target.registered_commands)
+    return {f"{spec.name} {name or function.__name__.replace('_', '-')}": function for name, function in named}
+
+
+def _list_declared(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the name and typer's declaration of each parameter, None if it has none.
+
+    A parameter that stands for shared options has a declaration of another kind, and is left out.
+    """
+    from typer.models import ParameterInfo
+
+    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
+        extras = getattr(parameter.annotation, "__metadata__", ())
+        if not extras or any(isinstance(extra, ParameterInfo) for extra in extras):
+            yield name, next((extra for extra in extras if isinstance(extra, ParameterInfo)), None)
