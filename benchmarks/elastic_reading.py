@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from real_images import PRESSES_MM, _find_tip, _measure_off, _read_image, _write_pose, write_head
 
 from tactile_loc.core.sensing.gel import Gel
-from tactile_loc.core.sensing.gel_inverse import recover_contact
-from tactile_loc.core.sensing.gel_surface import deform_gel
+from tactile_loc.core.sensing.gel_surface import deform_gel, recover_contact
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
 from tactile_loc.sensors.calibration.pressed_balls import press_balls

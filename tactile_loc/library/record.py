@@ -23,7 +23,7 @@ from tactile_loc.core.geometry.rigid import align_all_to_z, make_transform
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.places.places import PATCH_PX, Places
-from tactile_loc.core.runtime.blas import use_one_blas_thread
+from tactile_loc.core.runtime.compiled import use_one_blas_thread
 from tactile_loc.core.runtime.errors import LibraryError, MissingLibraryError
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.core.runtime.limits import require_size

@@ -12,9 +12,8 @@ from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
-from tactile_loc.core.poses.posterior import Mode, PosePosterior
+from tactile_loc.core.poses.posterior import TIE_NATS, Mode, PosePosterior, group_ties, rank_poses
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.poses.ranking import TIE_NATS, group_ties, rank_poses
 from tactile_loc.core.runtime.turns import pause_before
 from tactile_loc.core.sensing.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
@@ -279,7 +278,7 @@ def keep_apart(
 
     No chosen pose is within `radius_m` metres of a pose with greater worth.
     """
-    from tactile_loc.core.poses.non_maximum_suppression import choose_apart  # numba takes a while to import
+    from tactile_loc.core.poses.merging import choose_apart  # numba takes a while to import
 
     pause_before(len(poses) / A_TURN)
     order = np.argsort(-worth, kind="stable")

@@ -18,7 +18,7 @@ from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.posterior import PosePosterior, require_posterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration
-from tactile_loc.core.runtime.blas import use_one_blas_thread
+from tactile_loc.core.runtime.compiled import use_one_blas_thread
 from tactile_loc.core.runtime.errors import ConfigError, TouchError, quote
 from tactile_loc.core.runtime.progress import Progress, StageTimes
 from tactile_loc.core.sensing.noise import TouchNoise, make_noise

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import Float32
-from tactile_loc.core.runtime.blas import use_one_blas_thread
+from tactile_loc.core.runtime.compiled import run_in_threads, use_one_blas_thread
 from tactile_loc.slots.component import Component
 
 
@@ -75,8 +75,6 @@ class ExactMatcher(Matcher):
 
 def multiply(a: Float32, b: Float32) -> Float32:
     """Return the matrix product (M, N) of a (M, D) and b (D, N), in the threads of `compiled`."""
-    from tactile_loc.core.runtime.compiled import run_in_threads  # numba takes a while to import
-
     product = np.empty((len(a), b.shape[1]), np.float32)
     with use_one_blas_thread():
         run_in_threads(_multiply_rows, len(a), a, b, product)

@@ -17,10 +17,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from tactile_loc.core.runtime.caches import find_user_cache
 from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.core.runtime.formatting import format_bytes
 from tactile_loc.core.runtime.turns import without_pauses
-from tactile_loc.core.runtime.user_cache import find_user_cache
 from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
 from tactile_loc.store.files import delete, sync_folder
 from tactile_loc.store.keys import StageKey

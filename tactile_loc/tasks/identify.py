@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.bases.common_poses import require_sensor_poses
-from tactile_loc.core.poses.ranking import TIE_NATS, group_ties
+from tactile_loc.core.poses.posterior import TIE_NATS, group_ties
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import ConfigError, StoreError, TactileLocError, TouchError
 from tactile_loc.core.sensing.touch import Touch

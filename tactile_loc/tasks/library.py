@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.descriptor.descriptor import load_descriptor
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.places.imprints import compare_imprints
-from tactile_loc.core.runtime.byte_cache import ByteCache
+from tactile_loc.core.runtime.caches import ByteCache
 from tactile_loc.core.sensing.scene import IOU_PX
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.localizer import Localizer

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.runtime.byte_cache import ByteCache
+from tactile_loc.core.runtime.caches import ByteCache
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store import artifact as artifact_module

@@ -10,8 +10,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import Mode, PosePosterior
-from tactile_loc.core.poses.ranking import TIE_NATS
+from tactile_loc.core.poses.posterior import TIE_NATS, Mode, PosePosterior
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.locate.hypotheses import (

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.objects.blocks import NearestTriangles
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.runtime.byte_cache import ByteCache
+from tactile_loc.core.runtime.caches import ByteCache
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 
 CELL_M = 5e-4  # side of a cell of a field by default

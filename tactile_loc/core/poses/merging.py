@@ -1,4 +1,6 @@
-"""The merging of modes that are within a radius of a likelier mode, up to the object's symmetry."""
+"""The merging of modes, and non-maximum suppression: what lies within a radius of a likelier pose is not kept."""
+
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 from __future__ import annotations
 
@@ -7,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.compiled import njit
 
 
 def merge_modes(T_object: Poses, metric: PoseMetric, radius_m: ArrayLike, most: int | None = None) -> NDArray[np.int64]:
@@ -28,3 +31,25 @@ def merge_modes(T_object: Poses, metric: PoseMetric, radius_m: ArrayLike, most: 
             merged[k] = k
             kept.append(k)
     return merged
+
+
+@njit(fast=True)
+def choose_apart(points, radius, count):
+    """Return the indices of at most `count` points (K, D): each is farther than `radius` from all chosen before it."""
+    chosen, found = np.empty(min(count, len(points)), np.int64), 0
+    least = radius * radius
+    for k in range(len(points)):
+        if found == len(chosen):
+            break
+        free = True
+        for n in range(found - 1, -1, -1):  # the last chosen points are often the nearest
+            other, squared = chosen[n], 0.0
+            for d in range(points.shape[1]):
+                squared += (points[k, d] - points[other, d]) ** 2
+            if squared <= least:
+                free = False
+                break
+        if free:
+            chosen[found] = k
+            found += 1
+    return chosen[:found]

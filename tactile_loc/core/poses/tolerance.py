@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.surface_field import build_surface_field
 from tactile_loc.core.runtime.errors import ConfigError, quote
 
 if TYPE_CHECKING:
@@ -91,8 +92,6 @@ def measure_surface_distances(
     One of the two has the shape (N, 4, 4), metres, and the other may have the shape (4, 4). Means up to `most_m` are
     right, and larger means may be too small.
     """
-    from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
-
     field, points_m, moves = build_surface_field(mesh), _sample_points(mesh), invert(T_other) @ T
     distances_m = field.measure_distances(points_m, moves)
     far = np.isinf(distances_m)

@@ -23,7 +23,7 @@ import numba
 from numba.core import config, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-from tactile_loc.core.runtime.user_cache import find_user_cache
+from tactile_loc.core.runtime.caches import find_user_cache
 
 logger = logging.getLogger(__name__)
 

@@ -2,7 +2,8 @@
 
 Kernels are plain numba functions that release the GIL. Threads of this module call the kernels for parts of a range.
 The parallel loops of numba are not used, because they take several times as long to compile. Their threads also wait in
-busy loops, which slows down all other work. So do the threads of BLAS libraries: see `core/runtime/blas.py`.
+busy loops, which slows down all other work. So do the threads of BLAS
+libraries, which are switched off while touches are located.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache, update_wrapper
+from contextlib import contextmanager
+from functools import cache, lru_cache, update_wrapper
 from itertools import pairwise
 from threading import RLock, local
 from typing import Any, TypeVar
 
-from tactile_loc.core.runtime.blas import use_one_blas_thread
+from threadpoolctl import ThreadpoolController
 
 PARTS = 4  # parts per thread; a thread that finishes early takes another part
 
@@ -140,3 +142,21 @@ def count_threads() -> int:
 def _pool(process: int, threads: int) -> ThreadPoolExecutor:
     """Return the threads of this process. A forked process cannot use the threads of its parent."""
     return ThreadPoolExecutor(threads, thread_name_prefix="tactile-loc")
+
+
+@contextmanager
+def use_one_blas_thread() -> Iterator[None]:
+    """Let BLAS libraries of this process compute with the calling thread alone until the block ends.
+
+    The threads of OpenBLAS wait in busy loops after each product, for longer than the products of a search take. So two
+    threads need almost twice the processor time, and slow down all other work. Blocks of several threads may overlap:
+    the first block decides, and the others change nothing. Libraries that are loaded after the first block are left
+    alone.
+    """
+    with _find_libraries().limit(limits=1, user_api="blas"):
+        yield
+
+
+@cache
+def _find_libraries() -> ThreadpoolController:
+    return ThreadpoolController().select(user_api="blas")

@@ -12,7 +12,6 @@ All of these points are computed, so the result is exact.
 Over a curved gel, any point of a triangle can be the nearest to the gel. Points on the triangle's edges and inside it
 are therefore sampled every STEP_M. For a gel of radius r, the error is at most STEP_M^2 / 8 r, below a micrometre.
 
-The module is compiled with numba, which takes a while to import. Import the module only where it is needed.
 """
 
 from __future__ import annotations

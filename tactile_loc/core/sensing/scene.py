@@ -13,6 +13,7 @@ from tactile_loc.core.geometry.rigid import Float32, Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.places.imprints import Explained, compare_imprints
 from tactile_loc.core.runtime.turns import split_into_turns
+from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
 from tactile_loc.core.sensing.sensor_geometry import Drawing, SensorGeometry, find_drawing
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
@@ -56,8 +57,6 @@ class Scene:
 
     def bring_to_contact(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
         """Move poses (N, 4, 4), metres, along z to contact. Also return which (N,) touch the sensing rectangle."""
-        from tactile_loc.core.sensing.contact import bring_to_contact
-
         return bring_to_contact(self.object.mesh, T_sensor_object, self.geometry)
 
     def bring_near_contact(self, T_sensor_object: Poses, most_m: float, slack_m: float = 0.0) -> Poses:

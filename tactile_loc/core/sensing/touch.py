@@ -19,13 +19,15 @@ from tactile_loc.core.sensing.depth_maps import (
     OPPOSITE,
     DepthKind,
     DepthUnit,
+    assume_press,
+    find_contact,
     find_indentation,
     has_flat_top,
     is_deepest_around,
     require_kind,
+    require_rigid_gel,
 )
 from tactile_loc.core.sensing.gel import RIGID, Gel
-from tactile_loc.core.sensing.masks import assume_press, find_contact, require_rigid_gel
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 
 logger = logging.getLogger(__name__)

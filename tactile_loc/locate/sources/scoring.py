@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.places.places import PRESS_STEP_M
-from tactile_loc.core.runtime.byte_cache import ByteCache
+from tactile_loc.core.runtime.caches import ByteCache
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.runtime.turns import takes_turns
 from tactile_loc.core.sensing.touch import Touch

@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import PATCH_PX, Capabilities, ComponentOptions, Encoder, Float32, SensorGeometry, cut_patches
+from tactile_loc.plugin import (
+    PATCH_PX,
+    Capabilities,
+    ComponentOptions,
+    Encoder,
+    Float32,
+    SensorGeometry,
+    average_patches,
+    cut_patches,
+)
 
 LEAST_SEEN = 0.5  # least seen share of a cell that counts
 
@@ -60,8 +69,6 @@ class PixelEncoder(Encoder):
 
         A compiled loop averages the pixels in contact. It gives what `encode` gives.
         """
-        from tactile_loc.plugin import average_patches  # numba takes a while to import
-
         cells = self.options.cells
         if cells > PATCH_PX:
             return super().encode_patches(patches, press_depth_m)

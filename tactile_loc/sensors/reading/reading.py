@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import NoContactError, TouchError, mention_source
 from tactile_loc.core.sensing.gel import Gel
-from tactile_loc.core.sensing.gel_inverse import recover_contact
+from tactile_loc.core.sensing.gel_surface import recover_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.images import read_photo

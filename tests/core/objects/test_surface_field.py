@@ -9,7 +9,7 @@ import trimesh
 from tactile_loc.core.objects import surface_field as module
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field, find_closest_on_triangle
-from tactile_loc.core.runtime.byte_cache import ByteCache
+from tactile_loc.core.runtime.caches import ByteCache
 
 SOLIDS = {
     "ball": trimesh.creation.icosphere(3, 0.008),

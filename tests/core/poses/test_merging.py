@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import make_translation, rotation_about
-from tactile_loc.core.poses.merging import merge_modes
+from tactile_loc.core.poses.merging import choose_apart, merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
 
 ALONG_MM = np.array([0.0, 0.4, 5.0, 5.3, 0.2])
@@ -36,3 +36,21 @@ def test_symmetric_poses_merge(make_box):
     both = np.stack([np.eye(4), half_turn])
     assert merge_modes(both, PoseMetric(make_box(0.02, 0.01, 0.005, symmetry="z2")), 1e-4).tolist() == [0, 0]
     assert merge_modes(both, PoseMetric(make_box(0.02, 0.01, 0.005, symmetry="none")), 1e-4).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(("radius", "count"), [(0.2, 1000), (0.2, 5), (0.0, 1000), (9.0, 1000)])
+def test_the_choice_equals_a_plain_search(radius, count):
+    points = np.random.default_rng(3).uniform(size=(300, 3))
+    expected: list[int] = []
+    for k, point in enumerate(points):
+        if len(expected) < count and all(np.linalg.norm(point - points[n]) > radius for n in expected):
+            expected.append(k)
+    assert choose_apart(points, radius, count).tolist() == expected
+
+
+def test_equal_points_are_chosen_once():
+    assert choose_apart(np.zeros((4, 2)), 0.0, 9).tolist() == [0]
+
+
+def test_no_points_give_no_choice():
+    assert choose_apart(np.zeros((0, 12)), 1.0, 5).tolist() == []

@@ -17,7 +17,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.surface_field import SurfaceField
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.poses.ranking import group_ties, rank_poses
+from tactile_loc.core.poses.posterior import group_ties, rank_poses
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.runtime.options import ComponentOptions
 

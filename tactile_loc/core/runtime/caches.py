@@ -1,8 +1,10 @@
-"""A cache that keeps the values used last, as many as fit into a number of bytes."""
+"""A cache that keeps as many values as fit into a number of bytes, and the user's cache folder."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Hashable
+from pathlib import Path
 from threading import Lock
 from typing import Generic, TypeVar
 
@@ -54,3 +56,9 @@ class ByteCache(Generic[K, V]):
                 dropped.append(oldest)
         for oldest in dropped:
             self.release(oldest)
+
+
+def find_user_cache() -> Path:
+    """Return `$XDG_CACHE_HOME`, else `~/.cache`. Raises RuntimeError if the user has no home."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME", ""))  # the XDG specification says: ignore relative paths
+    return cache if cache.is_absolute() else Path.home() / ".cache"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from threading import Thread
 
-from tactile_loc.core.runtime.byte_cache import ByteCache
+from tactile_loc.core.runtime.caches import ByteCache
 
 
 def make_cache(most_bytes: int) -> tuple[ByteCache[str, bytearray], list[bytes]]:
