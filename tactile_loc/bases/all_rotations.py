@@ -118,9 +118,12 @@ def find_centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) ->
 
 
 def draw_places(
-    obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator,
+    obj: ObjectModel,
+    geometry: SensorGeometry,
+    count: int,
+    rng: np.random.Generator,
     rotations: Callable[[int], Float],
-) -> Poses:  # fmt: skip
+) -> Poses:
     """Draw poses (count, 4, 4), metres, uniformly over rotations and positions over the sensor; z is arbitrary.
 
     `rotations(n)` draws R_sensor_object (n, 3, 3) uniformly. A drawn rotation is kept with a probability in proportion

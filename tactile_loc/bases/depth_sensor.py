@@ -14,7 +14,7 @@ from tactile_loc.core.runtime.errors import SensorError, TouchError
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.gel import DEFAULT_THICKNESS_M, RIGID, Gel, GelKind
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import FROM_DEPTH, ContactShape, contact_shape_from_array
+from tactile_loc.core.sensing.touch import FROM_DEPTH, ContactShape, Meaning, contact_shape_from_array
 from tactile_loc.slots.sensor import SensorModel
 
 
@@ -82,7 +82,7 @@ class DepthSensor(SensorModel):
                 f"the sensor {type(self).__name__} is not calibrated for images; give a contact shape (.npz, .npy or "
                 "16-bit grey .png), or a calibration folder as `sensor`"
             )
-        shape = contact_shape_from_array(depth, self.geometry.max_depth_m, option=FROM_DEPTH)
+        shape = contact_shape_from_array(depth, self.geometry.max_depth_m, meaning=Meaning(option=FROM_DEPTH))
         if depth.shape != self.geometry.shape:
             raise TouchError(
                 f"the contact shape is {depth.shape} pixels, but the sensor's image is {self.geometry.shape} "

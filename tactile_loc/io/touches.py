@@ -23,6 +23,7 @@ from tactile_loc.core.sensing.gel import GEL_KINDS, RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import (
     ContactShape,
+    Meaning,
     Touch,
     blank_unobserved,
     contact_shape_from_array,
@@ -353,16 +354,9 @@ def _build_shape(
     if geometry is not None and known != "distance":
         depth = blank_unobserved(depth, geometry)
     press_m = press_depth_m if contents.press_depth is None else contents.press_depth * scale
-    shape = contact_shape_from_array(
-        depth,
-        max_depth_m,
-        press_m,
-        str(path),
-        contents.unit is not None,
-        known,
-        RIGID if geometry is None else geometry.gel,
-        KIND_OPTION if contents.kind is None else None,
-    )
+    meaning = Meaning(known, contents.unit is not None, KIND_OPTION if contents.kind is None else None)
+    gel = RIGID if geometry is None else geometry.gel
+    shape = contact_shape_from_array(depth, max_depth_m, press_m, str(path), meaning, gel)
     if contents.press_depth is None:
         return shape
     if contents.indentation is not None:

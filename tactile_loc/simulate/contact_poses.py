@@ -83,9 +83,12 @@ def draw_contact_poses(sampler: GridSampler, scene: Scene, count: int, rng: np.r
 
 
 def draw_contacts(
-    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator,
+    sampler: GridSampler,
+    scene: Scene,
+    count: int,
+    rng: np.random.Generator,
     misplace: Callable[[Poses], Poses] | None = None,
-) -> Iterator[tuple[Poses, Float32]]:  # fmt: skip
+) -> Iterator[tuple[Poses, Float32]]:
     """Draw `count` contact poses like `draw_contact_poses`. Yield batches of poses (K, 4, 4) and depths (K, H, W).
 
     Contact depths, metres, are rendered at the scene's maximal depth. If `misplace` is given, it returns the real

@@ -24,9 +24,14 @@ MOST_GRIPS = 1000  # largest number of attempts to draw a grip
 
 
 def draw_resting_touches(
-    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None,
-    noise: TouchNoise | None = None, opposed: bool = False,
-) -> list[Touch]:  # fmt: skip
+    sampler: GridSampler,
+    scene: Scene,
+    count: int,
+    rng: np.random.Generator,
+    press_depth_m: float | None = None,
+    noise: TouchNoise | None = None,
+    opposed: bool = False,
+) -> list[Touch]:
     """Make `count` touches of one object at rest, each with its sensor's pose `T_base_sensor` (4, 4), metres.
 
     The object's pose in the base frame is drawn first, then the touches (see `draw_touches`). With `opposed`, the
@@ -60,9 +65,12 @@ def rest(touches: Sequence[Touch], T_base_object: NDArray[np.float64]) -> list[T
 
 
 def draw_grip(
-    sampler: GridSampler, scene: Scene, rng: np.random.Generator, press_depth_m: float | None = None,
+    sampler: GridSampler,
+    scene: Scene,
+    rng: np.random.Generator,
+    press_depth_m: float | None = None,
     noise: TouchNoise | None = None,
-) -> list[Touch]:  # fmt: skip
+) -> list[Touch]:
     """Return the two touches of a gripper that closes on the object: the second sensor faces the first.
 
     The first touch is drawn like those of `draw_touches`. Raises TouchError if hardly any grip makes two touches.

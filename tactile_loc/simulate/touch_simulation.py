@@ -17,17 +17,25 @@ MOST_ROUNDS = 200  # largest number of attempts to draw the missing touches
 
 
 def simulate_touches(
-    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None,
+    sampler: GridSampler,
+    scene: Scene,
+    count: int,
+    rng: np.random.Generator,
+    press_depth_m: float | None = None,
     noise: TouchNoise | None = None,
-) -> list[Touch]:  # fmt: skip
+) -> list[Touch]:
     """Make `count` touches with known poses; see `draw_touches`."""
     return draw_touches(sampler, scene, count, rng, press_depth_m, noise)[0]
 
 
 def draw_touches(
-    sampler: GridSampler, scene: Scene, count: int, rng: np.random.Generator, press_depth_m: float | None = None,
+    sampler: GridSampler,
+    scene: Scene,
+    count: int,
+    rng: np.random.Generator,
+    press_depth_m: float | None = None,
     noise: TouchNoise | None = None,
-) -> tuple[list[Touch], int]:  # fmt: skip
+) -> tuple[list[Touch], int]:
     """Make `count` touches with known poses, and return how many presses were refused.
 
     The object is pressed `press_depth_m` metres deep. If this is None, `noise` draws the press depth; without noise, it

@@ -32,8 +32,13 @@ from tactile_loc.testing import commands, contract
 from tactile_loc.testing.contract import Check, ContractError
 
 __all__ = [
-    "Check", "ContractError", "list_checks", "list_properties", "parametrize_with_checks", "parametrize_with_properties"
-]  # fmt: skip
+    "Check",
+    "ContractError",
+    "list_checks",
+    "list_properties",
+    "parametrize_with_checks",
+    "parametrize_with_properties",
+]
 
 
 def list_checks(component: Component | CommandSpec) -> list[Check]:

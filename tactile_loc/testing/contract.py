@@ -68,8 +68,13 @@ class Untouched:
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks that apply to every component."""
-    return [check_declaration, check_options_are_strict, check_options_are_described,
-            check_describe_is_json, check_describe_names_every_option]  # fmt: skip
+    return [
+        check_declaration,
+        check_options_are_strict,
+        check_options_are_described,
+        check_describe_is_json,
+        check_describe_names_every_option,
+    ]
 
 
 def check_declaration(component: Component) -> None:

@@ -35,10 +35,20 @@ BESIDE_M = (0.0002, 0.0002, 0.0)
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for an encoder of these capabilities. Train the encoder first if it needs training."""
-    chosen: list[Check] = [check_output, check_batch_is_singles, check_shapes_untouched, check_distances_order_poses,
-                           check_press_depth_marks_no_contact, check_light_press_finds_its_pose,
-                           check_image_size, check_patches, check_ignores_masked_pixels, check_unseen_pixels,
-                           check_seen_output, check_seen_part_finds_its_pose]  # fmt: skip
+    chosen: list[Check] = [
+        check_output,
+        check_batch_is_singles,
+        check_shapes_untouched,
+        check_distances_order_poses,
+        check_press_depth_marks_no_contact,
+        check_light_press_finds_its_pose,
+        check_image_size,
+        check_patches,
+        check_ignores_masked_pixels,
+        check_unseen_pixels,
+        check_seen_output,
+        check_seen_part_finds_its_pose,
+    ]
     if capabilities.deterministic:
         chosen.append(check_deterministic)
     return [*chosen, check_learns_places] if capabilities.needs_training else chosen
@@ -94,8 +104,11 @@ def check_press_depth_marks_no_contact(encoder: Encoder) -> None:
     imprint = np.stack([s < PRESS_M for s in _draw_shapes()])
     light, deep = (np.where(imprint, np.float32(0), np.float32(p)) for p in (0.6 * PRESS_M, PRESS_M))
     bank, queries = encoder.encode(deep, PRESS_M, CAMERA), encoder.encode(light, 0.6 * PRESS_M, CAMERA)
-    _require_found(queries, bank, "pixels at the press depth have no contact: a flat imprint must look the same at "
-                   "60 % and at full press")  # fmt: skip
+    _require_found(
+        queries,
+        bank,
+        "pixels at the press depth have no contact: a flat imprint must look the same at 60 % and at full press",
+    )
 
 
 def check_light_press_finds_its_pose(encoder: Encoder) -> None:
@@ -228,8 +241,11 @@ def property_mirror_image(encoder: Encoder) -> None:
         here, beside = (_encode_light(encoder, _render(T)) for T in (poses, make_translation(BESIDE_M) @ poses))
         image = _encode_light(encoder, _render(poses, mesh=mirror_mesh(make_stepped_block())))
         near, far = (np.linalg.norm(other - here, axis=1) for other in (beside, image))
-        require((near < far).all(), "a part must be nearer to itself, 0.3 mm away, than to its mirror image; "
-                f"distances are up to {(near / np.maximum(far, 1e-12)).max():.2f} times as large")  # fmt: skip
+        require(
+            (near < far).all(),
+            "a part must be nearer to itself, 0.3 mm away, than to its mirror image; "
+            f"distances are up to {(near / np.maximum(far, 1e-12)).max():.2f} times as large",
+        )
 
     hold(claim, examples=3, place=places(most_tenths_mm=15))
 

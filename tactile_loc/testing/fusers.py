@@ -34,9 +34,17 @@ T_BASE_SECOND = make_transform(rotation_about([0, 0, 1], 1.1), [0.3, -0.09, 0.21
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a fuser of these capabilities. A fuser may refuse several touches."""
-    chosen: list[Check] = [check_flat_prior, check_prior_multiplies, check_certain_prior, check_impossible_prior,
-                           check_order, check_no_contact_is_dropped, check_no_common_pose, check_base_frame,
-                           check_posteriors_untouched]  # fmt: skip
+    chosen: list[Check] = [
+        check_flat_prior,
+        check_prior_multiplies,
+        check_certain_prior,
+        check_impossible_prior,
+        check_order,
+        check_no_contact_is_dropped,
+        check_no_common_pose,
+        check_base_frame,
+        check_posteriors_untouched,
+    ]
     chosen += [check_contact_alone] if capabilities.contact_only else [check_one_touch, check_sensor_poses]
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
 

@@ -45,13 +45,27 @@ LEAST_TOUCHING = 0.3  # least share of the poses; bounding boxes overlap more of
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a grid of these capabilities."""
     if capabilities.places:
-        return [check_poses_are_rigid, check_poses_reach_contact, check_random_follows_the_seed,
-                check_random_poses_differ, check_object_untouched, check_places_are_as_drawn,
-                check_places_are_in_random_poses]  # fmt: skip
-    chosen: list[Check] = [check_poses_are_rigid, check_spacing, check_denser_grid_has_more_poses,
-                           check_poses_reach_contact, check_covers_random_poses, check_random_is_uniform_over_the_grid,
-                           check_random_follows_the_seed, check_random_poses_differ, check_object_untouched,
-                           check_scale]  # fmt: skip
+        return [
+            check_poses_are_rigid,
+            check_poses_reach_contact,
+            check_random_follows_the_seed,
+            check_random_poses_differ,
+            check_object_untouched,
+            check_places_are_as_drawn,
+            check_places_are_in_random_poses,
+        ]
+    chosen: list[Check] = [
+        check_poses_are_rigid,
+        check_spacing,
+        check_denser_grid_has_more_poses,
+        check_poses_reach_contact,
+        check_covers_random_poses,
+        check_random_is_uniform_over_the_grid,
+        check_random_follows_the_seed,
+        check_random_poses_differ,
+        check_object_untouched,
+        check_scale,
+    ]
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
 
 
@@ -103,8 +117,11 @@ def check_covers_random_poses(sampler: GridSampler) -> None:
     drawn = _bring_to_contact(_draw_random(sampler, 200)).T_sensor_object
     spacings = np.quantile(grid.nearest(drawn)[0], [0.5, 0.95]) / SPACING_M
     covered = spacings[0] <= 1.0 and spacings[1] <= 2.0
-    require(covered, "sample must cover the poses that random draws; the nearest grid pose is "
-            f"{spacings[0]:.2g} spacings away in the median, and {spacings[1]:.2g} for one in twenty")  # fmt: skip
+    require(
+        covered,
+        "sample must cover the poses that random draws; the nearest grid pose is "
+        f"{spacings[0]:.2g} spacings away in the median, and {spacings[1]:.2g} for one in twenty",
+    )
 
 
 def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
@@ -117,9 +134,12 @@ def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
     half = spanned > np.median(spanned)
     wanted, found = float(half.mean()), float(half[grid.nearest(drawn)[1]].mean())
     error = float(np.sqrt(wanted * (1 - wanted) / len(drawn)))
-    require(abs(found - wanted) <= SIGMAS * error, "random must draw poses uniformly over the grid; "
-            f"{100 * found:.0f} % are nearest to {100 * wanted:.0f} % of its poses: draw a rotation in proportion to "
-            "its places over the sensor, as tactile_loc.plugin.draw_places does")  # fmt: skip
+    require(
+        abs(found - wanted) <= SIGMAS * error,
+        "random must draw poses uniformly over the grid; "
+        f"{100 * found:.0f} % are nearest to {100 * wanted:.0f} % of its poses: draw a rotation in proportion to "
+        "its places over the sensor, as tactile_loc.plugin.draw_places does",
+    )
 
 
 def check_random_follows_the_seed(sampler: GridSampler) -> None:
@@ -189,9 +209,10 @@ def check_places_are_in_random_poses(sampler: GridSampler) -> None:
     tilt_deg = np.degrees(np.arccos(np.clip(T[:, 2, :3] @ along.T, -1, 1)))
     worst_deg = np.quantile(np.where(near, tilt_deg, 180.0).min(axis=1), 0.9)
     require(
-        worst_deg < MOST_TILT_DEG, f"the first point of contact must be a place; for one pose in ten the places within "
+        worst_deg < MOST_TILT_DEG,
+        f"the first point of contact must be a place; for one pose in ten the places within "
         f"{NEAR_M * 1e3:g} mm of it are seen from directions {worst_deg:.0f} degrees off",
-    )  # fmt: skip
+    )
 
 
 def property_object_origin(sampler: GridSampler) -> None:
@@ -223,8 +244,11 @@ def property_symmetric_copies(sampler: GridSampler) -> None:
         orbits = PoseMetric(obj).embed_orbits(poses)
         apart_m = np.min([measure_distances(orbit, orbits[0]) for orbit in orbits], axis=0)
         apart_m[(apart_m < ROUNDED_M) | np.eye(len(poses), dtype=bool)] = np.inf
-        require(apart_m.min() >= LEAST_APART * spacing_m, "symmetric poses must coincide or be left out; "
-                f"two are {1e3 * apart_m.min():.2g} mm apart at a spacing of {1e3 * spacing_m:g} mm")  # fmt: skip
+        require(
+            apart_m.min() >= LEAST_APART * spacing_m,
+            "symmetric poses must coincide or be left out; "
+            f"two are {1e3 * apart_m.min():.2g} mm apart at a spacing of {1e3 * spacing_m:g} mm",
+        )
 
     hold(claim, symmetry=one_of(SUBGROUPS), spacing_tenths_mm=whole(60, 90))
 

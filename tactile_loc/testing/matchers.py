@@ -27,9 +27,16 @@ TOLERANCE = 1e-4  # allowed error of scores, for squared lengths near one
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a matcher of these capabilities."""
-    chosen: list[Check] = [check_output, check_definition, check_best_row_is_found, check_row_order,
-                           check_query_order, check_index_replaces, check_single_row,
-                           check_bank_and_queries_untouched]  # fmt: skip
+    chosen: list[Check] = [
+        check_output,
+        check_definition,
+        check_best_row_is_found,
+        check_row_order,
+        check_query_order,
+        check_index_replaces,
+        check_single_row,
+        check_bank_and_queries_untouched,
+    ]
     if capabilities.weights:
         chosen.append(check_weights)
     return [*chosen, check_deterministic] if capabilities.deterministic else chosen
@@ -37,8 +44,13 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 def properties(capabilities: Capabilities) -> list[Check]:
     """Return the properties of a matcher of these capabilities: see `tactile_loc.testing.properties`."""
-    chosen: list[Check] = [property_row_order, property_query_order, property_equal_rows, property_turned_space,
-                           property_scale]  # fmt: skip
+    chosen: list[Check] = [
+        property_row_order,
+        property_query_order,
+        property_equal_rows,
+        property_turned_space,
+        property_scale,
+    ]
     return [*chosen, property_unknown_numbers] if capabilities.weights else chosen
 
 

@@ -29,10 +29,22 @@ from tactile_loc.slots.renderer import Renderer
 
 Array = NDArray[np.float64]
 
-_BOX_FACES = np.array([
-    [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-    [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
-])  # fmt: skip
+_BOX_FACES = np.array(
+    [
+        [0, 2, 1],
+        [1, 2, 3],
+        [4, 5, 6],
+        [5, 7, 6],
+        [0, 1, 4],
+        [1, 5, 4],
+        [2, 6, 3],
+        [3, 6, 7],
+        [0, 4, 2],
+        [2, 4, 6],
+        [1, 3, 5],
+        [3, 7, 5],
+    ]
+)
 _ROUNDING = 1e-9
 RAYS = 256  # number of rays intersected at once
 
@@ -276,9 +288,12 @@ def scale_sensor(geometry: SensorGeometry, scale: float) -> SensorGeometry:
     """Return the sensor with all its lengths scaled by a factor. The image keeps its size in pixels."""
     k = 1.0 if geometry.is_pinhole else scale
     return dataclasses.replace(
-        geometry, fx=geometry.fx / k, fy=geometry.fy / k,
-        standoff_m=geometry.standoff_m * scale, max_depth_m=geometry.max_depth_m * scale,
-    )  # fmt: skip
+        geometry,
+        fx=geometry.fx / k,
+        fy=geometry.fy / k,
+        standoff_m=geometry.standoff_m * scale,
+        max_depth_m=geometry.max_depth_m * scale,
+    )
 
 
 @lru_cache(maxsize=8)

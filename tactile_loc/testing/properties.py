@@ -80,9 +80,15 @@ def hold(claim: Callable[..., None], examples: int = EXAMPLES, **drawn: Strategy
 
     phases = {hypothesis.Phase.generate, hypothesis.Phase.shrink} & set(hypothesis.settings.default.phases)
     settings = hypothesis.settings(
-        max_examples=examples, derandomize=True, database=None, deadline=None, phases=phases, print_blob=False,
-        report_multiple_bugs=False, suppress_health_check=list(hypothesis.HealthCheck),
-    )  # fmt: skip
+        max_examples=examples,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        phases=phases,
+        print_blob=False,
+        report_multiple_bugs=False,
+        suppress_health_check=list(hypothesis.HealthCheck),
+    )
     try:
         settings(hypothesis.given(**drawn)(try_values))()
     except hypothesis.errors.Flaky as error:

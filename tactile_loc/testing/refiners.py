@@ -38,10 +38,19 @@ LEAST_CHIRAL = 0.05  # least difference of imprint IoU between a part and its mi
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a refiner of these capabilities."""
-    chosen: list[Check] = [check_output, check_truth_stays, check_touch_and_candidate_untouched,
-                           check_quarter_turn, check_scale, check_object_frame, check_ignores_masked_pixels,
-                           check_nearly_empty_contact, check_degenerate_contact, check_candidate_without_contact,
-                           check_many_are_one_by_one]  # fmt: skip
+    chosen: list[Check] = [
+        check_output,
+        check_truth_stays,
+        check_touch_and_candidate_untouched,
+        check_quarter_turn,
+        check_scale,
+        check_object_frame,
+        check_ignores_masked_pixels,
+        check_nearly_empty_contact,
+        check_degenerate_contact,
+        check_candidate_without_contact,
+        check_many_are_one_by_one,
+    ]
     if capabilities.deterministic:
         chosen.append(check_deterministic)
     if capabilities.refines:
@@ -73,9 +82,11 @@ def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
     candidate, mesh = problem.make_candidate(OFFSETS[0]), copy_mesh(problem.scene.object.mesh)
     scene = dataclasses.replace(problem.scene, object=dataclasses.replace(problem.scene.object, mesh=mesh))
     before = Untouched(
-        T_sensor_object=candidate.T_sensor_object, depth_m=problem.touch.contact_shape.depth_m,
-        vertices_m=mesh.vertices_m, faces=mesh.faces,
-    )  # fmt: skip
+        T_sensor_object=candidate.T_sensor_object,
+        depth_m=problem.touch.contact_shape.depth_m,
+        vertices_m=mesh.vertices_m,
+        faces=mesh.faces,
+    )
     result = refiner.refine(problem.touch, candidate, scene)
     before.require()
     shared = np.shares_memory(result.T_sensor_object, candidate.T_sensor_object)
@@ -251,8 +262,11 @@ def property_mirrored_part(refiner: Refiner) -> None:
             float(scene.imprint_ious(found.T_sensor_object[None], problem.touch)[0])
             for scene, found in ((problem.scene, answer), (other, image))
         )
-        require(right - wrong >= LEAST_CHIRAL, "a part must explain its touch better than its mirror image does; "
-                f"imprint IoUs are {right:.2f} and {wrong:.2f}")  # fmt: skip
+        require(
+            right - wrong >= LEAST_CHIRAL,
+            "a part must explain its touch better than its mirror image does; "
+            f"imprint IoUs are {right:.2f} and {wrong:.2f}",
+        )
 
     hold(claim, yaw_deg=whole(0, 359), camera=_draw_cameras())
 
@@ -324,6 +338,7 @@ def _require_shrinking(refiner: Refiner, problems: list[PressedBlock], press: st
     before = np.mean([p.measure_error_m(p.make_candidate(o)) for p in problems for o in OFFSETS])
     after = np.mean([p.measure_error_m(_refine(refiner, p, o)) for p in problems for o in OFFSETS])
     require(
-        after <= LEFT_OVER * before, f"after {press}, candidates must come nearer to the truth; their mean error went "
+        after <= LEFT_OVER * before,
+        f"after {press}, candidates must come nearer to the truth; their mean error went "
         f"from {before * 1e3:.2f} to {after * 1e3:.2f} mm; a refiner that leaves poses declares refines=False",
-    )  # fmt: skip
+    )

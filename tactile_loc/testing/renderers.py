@@ -45,9 +45,18 @@ LEAST_CHIRAL = 0.05  # least share of pixels that must differ at each yaw; for t
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a renderer of these capabilities."""
-    chosen: list[Check] = [check_output, check_sphere, check_plane, check_hidden_surfaces, check_batch_is_singles,
-                           check_apart_is_together, check_mesh_and_poses_untouched, check_shift_moves_the_picture,
-                           check_quarter_turn_turns_the_picture, check_scale]  # fmt: skip
+    chosen: list[Check] = [
+        check_output,
+        check_sphere,
+        check_plane,
+        check_hidden_surfaces,
+        check_batch_is_singles,
+        check_apart_is_together,
+        check_mesh_and_poses_untouched,
+        check_shift_moves_the_picture,
+        check_quarter_turn_turns_the_picture,
+        check_scale,
+    ]
     if capabilities.deterministic:
         chosen.append(check_deterministic)
     if capabilities.exact_undercuts:
@@ -57,8 +66,13 @@ def checks(capabilities: Capabilities) -> list[Check]:
 
 def properties(capabilities: Capabilities) -> list[Check]:
     """Return the properties of a renderer of these capabilities: see `tactile_loc.testing.properties`."""
-    return [property_object_frame, property_mirror_image, property_symmetric_copies, property_pose_order,
-            property_image_size]  # fmt: skip
+    return [
+        property_object_frame,
+        property_mirror_image,
+        property_symmetric_copies,
+        property_pose_order,
+        property_image_size,
+    ]
 
 
 def check_output(renderer: Renderer) -> None:
@@ -202,8 +216,11 @@ def property_mirror_image(renderer: Renderer) -> None:
         _same(image[:, :, ::-1], picture, camera, "a mirrored part at a mirrored pose must give the mirrored picture")
         rotated = renderer.render(mirror_mesh(BLOCK), _rotate_mirror_images(T, camera), camera)
         unlike = min(_share_unlike(one[None], picture, camera) for one in rotated)
-        require(unlike >= LEAST_CHIRAL, "a part and its mirror image must differ at every yaw; "
-                f"at one only {100 * unlike:.1f} % of the pixels do, required {100 * LEAST_CHIRAL:g} %")  # fmt: skip
+        require(
+            unlike >= LEAST_CHIRAL,
+            "a part and its mirror image must differ at every yaw; "
+            f"at one only {100 * unlike:.1f} % of the pixels do, required {100 * LEAST_CHIRAL:g} %",
+        )
 
     hold(claim, place=places(most_tilt_deg=10), camera_name=_draw_camera_names())
 
@@ -219,8 +236,12 @@ def property_symmetric_copies(renderer: Renderer) -> None:
         here, there = (renderer.render(obj.mesh, pose, camera) for pose in (T, copy))
         _same(there, here, camera, "symmetric poses must look the same")
 
-    hold(claim, element=whole(1, len(make_prism().symmetry.rotations) - 1), place=places(most_tilt_deg=10),
-         camera_name=_draw_camera_names())  # fmt: skip
+    hold(
+        claim,
+        element=whole(1, len(make_prism().symmetry.rotations) - 1),
+        place=places(most_tilt_deg=10),
+        camera_name=_draw_camera_names(),
+    )
 
 
 def property_pose_order(renderer: Renderer) -> None:

@@ -19,8 +19,13 @@ from tactile_loc.testing.properties import hold, whole
 
 def checks(capabilities: Capabilities) -> list[Check]:
     """Return the checks for a sensor of these capabilities."""
-    always: list[Check] = [check_geometry, check_contact_shape, check_depths_are_kept, check_observation_untouched,
-                           check_refuses_nonsense]  # fmt: skip
+    always: list[Check] = [
+        check_geometry,
+        check_contact_shape,
+        check_depths_are_kept,
+        check_observation_untouched,
+        check_refuses_nonsense,
+    ]
     return [*always, check_deterministic] if capabilities.deterministic else always
 
 

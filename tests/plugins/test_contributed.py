@@ -29,8 +29,18 @@ WITH_INNER_IMPORTS = {"tactile-loc-app", "tactile-loc-benchmark", "tactile-loc-l
 DISTRIBUTIONS = [name for name in FOUND if name not in ANNEXES]
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plugin"
 PUBLIC = ("tactile_loc.plugin", "tactile_loc.commands", "tactile_loc.testing")
-INSTALL = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install", "--no-index", "--no-deps",
-           "--no-build-isolation", "--target"]  # fmt: skip
+INSTALL = [
+    sys.executable,
+    "-m",
+    "pip",
+    "--quiet",
+    "--disable-pip-version-check",
+    "install",
+    "--no-index",
+    "--no-deps",
+    "--no-build-isolation",
+    "--target",
+]
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", ".*")
 each = pytest.mark.parametrize("name", DISTRIBUTIONS)
 

@@ -134,9 +134,12 @@ def test_the_nearest_pose_agrees_with_a_search_over_yaws(metric):
     places, truths = poses(7, 1), poses(5, 2)
     off_m, index, yaw_rad = RotatedPoses(places, metric).nearest(truths)
     for k, truth in enumerate(truths):
-        tried = np.stack([
-            metric.symmetric_distance(np.broadcast_to(truth, (len(YAWS_RAD), 4, 4)), turned(place)) for place in places
-        ])  # fmt: skip
+        tried = np.stack(
+            [
+                metric.symmetric_distance(np.broadcast_to(truth, (len(YAWS_RAD), 4, 4)), turned(place))
+                for place in places
+            ]
+        )
         assert off_m[k] == pytest.approx(tried.min(), abs=2e-5)
         assert off_m[k] <= tried.min() + 1e-12
         at_yaw = make_transform(rotation_about([0, 0, 1], yaw_rad[k]), np.zeros(3)) @ places[index[k]]

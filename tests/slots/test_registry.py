@@ -258,10 +258,15 @@ def test_an_unknown_option_gives_an_error_with_similar_and_known_options():
         validate_options(Paint, {"color": "blue"}, "brush 'b'")
 
 
-@pytest.mark.parametrize(("values", "problem"), [
-    ({"coats": "many"}, ("coats", "'many'", "whole number")), ({"coats": 0}, ("coats", 0, "1")),
-    ({"finish": "satin"}, ("finish", "'satin'", "'matt'")), ({"colour": 5}, ("colour", 5)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        ({"coats": "many"}, ("coats", "'many'", "whole number")),
+        ({"coats": 0}, ("coats", 0, "1")),
+        ({"finish": "satin"}, ("finish", "'satin'", "'matt'")),
+        ({"colour": 5}, ("colour", 5)),
+    ],
+)
 def test_an_invalid_option_value_gives_an_error_with_the_fault(values, problem):
     with pytest.raises(ConfigError, match=naming("brush 'b'", *problem)) as refused:
         validate_options(Paint, values, "brush 'b'")

@@ -98,7 +98,7 @@ SENSOR = [
     (sensors.check_observation_untouched, then(GelSlim, "contact_shape", scribbled)),
     (sensors.check_refuses_nonsense, made(GelSlim, contact_shape=anything_goes)),
     (sensors.check_deterministic, drifting(GelSlim, "contact_shape", lambda s, n: deeper(s, 1 - 1e-3 * n))),
-]  # fmt: skip
+]
 
 
 def off_by_half_a_pixel(self, mesh, T, geometry):
@@ -135,7 +135,7 @@ RENDERER = [
     (renderers.check_scale, drawing(lambda d, *_: d + np.float32(1e-4))),
     (renderers.check_deterministic, drifting(ReferenceRenderer, "render", lambda d, n: d + np.float32(1e-6 * n))),
     (renderers.check_undercuts, made(HeightmapRenderer, capabilities=DEFAULT)),
-]  # fmt: skip
+]
 
 
 def sampling(spacing):
@@ -182,7 +182,7 @@ GRID = [
     (grids.check_places_are_as_drawn, then(WholeGrid, "places", mirrored_patches)),
     (grids.check_places_are_in_random_poses, then(WholeGrid, "places", places_of_one_side)),
     (grids.check_deterministic, drifting(FaceGrid, "sample", lambda T, n: np.roll(T, n, axis=0))),
-]  # fmt: skip
+]
 
 
 def fixed_threshold(self, depth, press, geometry):
@@ -228,7 +228,7 @@ ENCODER = [
     (encoders.check_seen_part_finds_its_pose, then(PixelEncoder, "encode_seen", knows_nothing)),
     (encoders.check_learns_places, made(PixelEncoder, encode_seen=unmasked_pixels, capabilities=LEARNS)),
     (encoders.check_deterministic, drifting(PixelEncoder, "encode", lambda e, n: e + np.float32(1e-3 * n))),
-]  # fmt: skip
+]
 
 
 def appended(self, bank):
@@ -271,7 +271,7 @@ MATCHER = [
     (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "scores", scribbled)),
     (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "index", scribbled)),
     (matchers.check_deterministic, drifting(DenseMatcher, "scores", lambda s, n: s - np.float32(1e-3 * n))),
-]  # fmt: skip
+]
 
 
 def moved(result: RefinedPose, x_m: float) -> RefinedPose:
@@ -353,7 +353,7 @@ REFINER = [
     (refiners.check_deterministic, drifting(NoRefiner, "refine", lambda r, n: moved(r, 1e-9 * n))),
     (refiners.check_offsets_shrink, made(NoRefiner, capabilities=DEFAULT)),
     (refiners.check_offsets_shrink_after_a_light_press, made(IcpRefiner, refine=full_press_only)),
-]  # fmt: skip
+]
 
 
 def with_log_p(change):
@@ -399,7 +399,7 @@ FUSER = [
     (fusers.check_base_frame, made(ProductFuser, fuse=from_the_base)),
     (fusers.check_posteriors_untouched, then(ProductFuser, "fuse", lambda r, p, *_: scribbled(r, p[0].log_p))),
     (fusers.check_deterministic, drifting(ProductFuser, "fuse", lambda r, n: PosePosterior(r.grid, r.log_p * (1 + n)))),
-]  # fmt: skip
+]
 
 
 BROKEN = [*COMMON, *SENSOR, *RENDERER, *GRID, *ENCODER, *MATCHER, *REFINER, *FUSER]

@@ -45,8 +45,12 @@ def test_every_check_has_a_broken_component():
 def test_every_check_is_chosen_for_some_capabilities():
     from tactile_loc.slots.component import Capabilities
 
-    capabilities = [Capabilities(), Capabilities(contact_only=True), Capabilities(places=True),
-                    Capabilities(needs_training=True)]  # fmt: skip
+    capabilities = [
+        Capabilities(),
+        Capabilities(contact_only=True),
+        Capabilities(places=True),
+        Capabilities(needs_training=True),
+    ]
     for module in MODULES:
         named = {name for name in vars(module) if name.startswith("check_")}
         assert {check.__name__ for c in capabilities for check in module.checks(c)} == named

@@ -101,9 +101,13 @@ def _solve_translations(T_base_flange: Poses, R_X: Floats, t_S: Floats) -> tuple
 
 
 def fit_hand_eye(
-    T_base_flange: Poses, T_sensor_object: Poses, covariances: Floats, T_flange_sensor: Floats, T_base_object: Floats,
+    T_base_flange: Poses,
+    T_sensor_object: Poses,
+    covariances: Floats,
+    T_flange_sensor: Floats,
+    T_base_object: Floats,
     robust: bool = False,
-) -> HandEyeFit:  # fmt: skip
+) -> HandEyeFit:
     """Fit X and Y to N touches, starting from first estimates (4, 4), metres.
 
     The poses of the touches (N, 4, 4) are in metres, with `covariances` (N, 6, 6) as in RefinedPose. If `robust` is

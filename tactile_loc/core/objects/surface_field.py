@@ -49,9 +49,9 @@ class SurfaceField:
         nearest = np.full(np.ceil(size / cell_m).astype(int) + 1, -1, np.int32)
         first, sides = np.ascontiguousarray(corners[:, 0]), corners[:, 1:] - corners[:, :1]
         squared_m2 = np.full(nearest.shape, np.inf, np.float32)
-        carry(first, sides, normals, low, cell_m, reach_m, nearest, squared_m2)
-        distances = np.minimum(np.rint(np.sqrt(squared_m2) * np.float32(FAR / reach_m)), FAR).astype(np.uint8)
         triangles = NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners))
+        carry(triangles, reach_m, squared_m2)
+        distances = np.minimum(np.rint(np.sqrt(squared_m2) * np.float32(FAR / reach_m)), FAR).astype(np.uint8)
         return cls(triangles, reach_m, distances)
 
     @property
@@ -62,9 +62,7 @@ class SurfaceField:
     def to_unit(self, per_m: float) -> NearestTriangles:
         """Return the arrays for compiled code in another unit of length. A metre has `per_m` of these units."""
         of = self.triangles
-        return of._replace(
-            corners=of.corners * per_m, sides=of.sides * per_m, low=of.low * per_m, cell=of.cell * per_m
-        )  # fmt: skip
+        return of._replace(corners=of.corners * per_m, sides=of.sides * per_m, low=of.low * per_m, cell=of.cell * per_m)
 
     def find_closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return the surface points (N, 3), metres, nearest to points (N, 3), metres, in the object frame.
@@ -95,9 +93,7 @@ class SurfaceField:
         """
         gaps = np.zeros(len(T_object_points))
         triangles, points_m = self.triangles, np.ascontiguousarray(points_m, float)
-        run_in_threads(
-            _fill_rough_gaps, len(gaps), points_m, T_object_points, triangles.low, triangles.cell, self.distances, gaps
-        )
+        run_in_threads(_fill_rough_gaps, len(gaps), points_m, T_object_points, triangles, self.distances, gaps)
         return gaps * (self.reach_m / FAR)
 
 
@@ -163,10 +159,10 @@ def _fill_distances(first, last, points, T, triangles, distances):
 
 
 @njit(fast=True)
-def _fill_rough_gaps(first, last, points, T, low, cell, distances, gaps):
+def _fill_rough_gaps(first, last, points, T, triangles, distances, gaps):
     """Fill `gaps` (K,) with the mean distances of the points, moved by T (K, 4, 4), for moves from first to last."""
     X, Y, Z = distances.shape
-    per = 1.0 / cell
+    low, per = triangles.low, 1.0 / triangles.cell
     for k in range(first, last):
         a, b, c = (T[k, 0, 3] - low[0]) * per, (T[k, 1, 3] - low[1]) * per, (T[k, 2, 3] - low[2]) * per
         R00, R01, R02 = T[k, 0, 0] * per, T[k, 0, 1] * per, T[k, 0, 2] * per
@@ -285,14 +281,16 @@ def find_closest_point(x, y, z, f, corners, sides):
 
 
 @njit
-def carry(corners, sides, normals, low, cell, reach, nearest, squared):
-    """Fill `nearest` (X, Y, Z) with triangles, first in the cells that triangles cross, then outwards cell by cell.
+def carry(triangles, reach, squared):
+    """Fill `triangles.nearest`, first in the cells that triangles cross, then outwards cell by cell.
 
     Also fill `squared` (X, Y, Z) with the squared distances to these triangles, where it is infinite at the start.
     """
+    corners, sides, nearest = triangles.corners, triangles.sides, triangles.nearest
+    low, cell = triangles.low, triangles.cell
     X, Y, Z = nearest.shape
     boxes = _find_boxes(corners, sides)
-    count = _mark_crossed(corners, sides, normals, boxes, low, cell, nearest, squared)
+    count = _mark_crossed(triangles, boxes, squared)
     wave = np.empty((count, 3), np.int32)
     count = 0
     for i in range(X):
@@ -312,7 +310,7 @@ def carry(corners, sides, normals, low, cell, reach, nearest, squared):
                     continue
                 x, y, z = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
                 least = min(squared[i, j, k], reach * reach)
-                if _is_farther(x, y, z, f, corners, normals, boxes, least):
+                if _is_farther(x, y, z, f, triangles, boxes, least):
                     continue
                 d = _measure_squared_distance(x, y, z, f, corners, sides)
                 if d < least:
@@ -338,8 +336,10 @@ def _find_boxes(corners, sides):
 
 
 @njit
-def _mark_crossed(corners, sides, normals, boxes, low, cell, nearest, squared):
+def _mark_crossed(triangles, boxes, squared):
     """Assign each triangle to the cells within two cell sides of it. Return how many cells have a triangle."""
+    corners, sides, nearest = triangles.corners, triangles.sides, triangles.nearest
+    low, cell = triangles.low, triangles.cell
     first, last, count = np.empty(3, np.int64), np.empty(3, np.int64), 0
     near = 4.0 * cell * cell
     for f in range(len(corners)):
@@ -353,7 +353,7 @@ def _mark_crossed(corners, sides, normals, boxes, low, cell, nearest, squared):
                 for k in range(first[2], last[2] + 1):
                     z = low[2] + (k + 0.5) * cell
                     least = min(squared[i, j, k], near)
-                    if _is_farther(x, y, z, f, corners, normals, boxes, least):
+                    if _is_farther(x, y, z, f, triangles, boxes, least):
                         continue
                     d = _measure_squared_distance(x, y, z, f, corners, sides)
                     if d < least:
@@ -363,11 +363,10 @@ def _mark_crossed(corners, sides, normals, boxes, low, cell, nearest, squared):
 
 
 @njit(fast=True)
-def _is_farther(x, y, z, f, corners, normals, boxes, least):
+def _is_farther(x, y, z, f, triangles, boxes, least):
     """Return whether the plane or the box of triangle f shows that its squared distance is at least `least`."""
-    off = normals[f, 0] * (x - corners[f, 0]) + normals[f, 1] * (y - corners[f, 1])
-    off += normals[f, 2] * (z - corners[f, 2])
-    if off * off >= least:
+    corners, normals = triangles.corners, triangles.normals
+    if _measure_off(x, y, z, f, corners, normals) >= least:
         return True
     a = max(0.0, boxes[f, 0] - x, x - boxes[f, 3])
     b = max(0.0, boxes[f, 1] - y, y - boxes[f, 4])

@@ -51,10 +51,8 @@ def compare_imprints(
     count = len(made_m)
     made_m, seen_m = np.ascontiguousarray(made_m, np.float32), np.ascontiguousarray(seen_m, np.float32)
     sums = np.empty((count, 5))
-    run_in_threads(
-        _add_imprints, count, made_m, seen_m, np.float32(press_depth_m), np.ascontiguousarray(observed),
-        np.float32(OUTLINE_SHARE), np.float32(FAR_OFF_M), sums,
-    )  # fmt: skip
+    observed = np.ascontiguousarray(observed)
+    run_in_threads(_add_imprints, count, made_m, seen_m, np.float32(press_depth_m), observed, sums)
     common, either, least, most, off_m = sums.T
     imprint_ious = least / np.maximum(most, 1.0)
     area_mm2 = common * (1e3 * pixel_pitch_m) ** 2
@@ -64,14 +62,14 @@ def compare_imprints(
 
 
 @njit(fast=True)
-def _add_imprints(first, last, made, seen, press, observed, outline, far, sums):
+def _add_imprints(first, last, made, seen, press, observed, sums):
     """Fill `sums` (N, 5) for the contact depths `made` (N, H, W) from first to last, and those of a touch (H, W).
 
     The sums are the number of pixels in contact in both, and in one of them; the smaller of both imprints, and the
-    larger, each as a share of the press depth plus `outline`; and the difference of depths in common contact, metres,
-    at most `far` each.
+    larger, each as a share of the press depth plus OUTLINE_SHARE; and the difference of depths in common contact,
+    metres, at most FAR_OFF_M each.
     """
-    zero, top = np.float32(0), np.float32(1) + outline
+    zero, top, far = np.float32(0), np.float32(1 + OUTLINE_SHARE), np.float32(FAR_OFF_M)
     scale = np.float32(1) / press
     for k in range(first, last):
         common, either, least, most, off = 0, 0, 0.0, 0.0, 0.0

@@ -91,10 +91,10 @@ def average_patches(patches: NDArray[np.uint8], signal: Float32, rows: Float32, 
     High values without signal are skipped, so this is fast if most pixels have them. Raises ValueError if a pixel is
     in more cells.
     """
-    of_row, of_column = _split_weights(rows), _split_weights(columns)
     sums = np.empty((len(patches), len(rows), len(columns)), np.float32)
     end = int(np.flatnonzero(signal).max(initial=-1)) + 1
-    run_in_threads(_fill_sums, len(patches), np.ascontiguousarray(patches), end, signal, *of_row, *of_column, sums)
+    parts = signal[:end], _split_weights(rows), _split_weights(columns)
+    run_in_threads(_fill_sums, len(patches), np.ascontiguousarray(patches), *parts, sums)
     return sums
 
 
@@ -110,12 +110,13 @@ def _split_weights(weights: Float32) -> tuple[NDArray[np.int64], Float32, Float3
 
 
 @njit(fast=True)
-def _fill_sums(first, last, patches, end, signal, row, row_here, row_after, column, here, after, sums):
+def _fill_sums(first, last, patches, signal, rows, columns, sums):
     """Fill `sums` (N, R, C) for the patches (N, H, W) from first to last: see `average_patches`.
 
-    Values from `end` have no signal. `row` (H,), `row_here` (H,) and `row_after` (H,) are the first cell of each pixel
-    row, and its weights in this and the next cell. `column`, `here` and `after` (W,) are the same for pixel columns.
+    Values beyond those of `signal` have no signal. `rows` are the first cell (H,) of each pixel row, and its weights
+    (H,) in this and the next cell. `columns` are the same for pixel columns.
     """
+    (row, row_here, row_after), (column, here, after), end = rows, columns, len(signal)
     height, width = patches.shape[1], patches.shape[2]
     line, cells = np.empty(sums.shape[2], np.float32), np.empty(sums.shape[1:], np.float32)
     for n in range(first, last):

@@ -63,18 +63,18 @@ def rotate_patches(
     seen = np.empty(depth_m.shape, np.bool_)
     camera = (geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy)
     deepest_m = np.broadcast_to(np.asarray(geometry.full_penetration_m, np.float64), geometry.shape)
-    run_in_threads(
-        _fill_patches, len(yaw_rad), shape.depth_m, np.float32(shape.press_depth_m), observed, camera,
-        deepest_m, anchor_m, R_sensor_gel, np.asarray(yaw_rad, float), depth_m, seen,
-    )  # fmt: skip
+    shown = shape.depth_m, np.float32(shape.press_depth_m), observed, camera, deepest_m
+    frame = anchor_m, R_sensor_gel
+    run_in_threads(_fill_patches, len(yaw_rad), shown, frame, np.asarray(yaw_rad, float), depth_m, seen)
     return depth_m, seen
 
 
 # Each round finds the pixel that sees a point of the patch, with the depth from the last round. On a flat gel, parallel
 # rays need one round. A pinhole needs two, because the pixel depends on the depth.
 @njit
-def _fill_patches(first, last, depth, press, observed, camera, deepest, at, R, yaws, patches, seen):
+def _fill_patches(first, last, shown, frame, yaws, patches, seen):
     """Fill `patches` (M, S, S) for the yaws from first to last, and `seen` with which pixels the sensor observes."""
+    (depth, press, observed, camera, deepest), (at, R) = shown, frame
     pinhole, fx, fy, cx, cy = camera
     side, half = patches.shape[1], (patches.shape[1] - 1) / 2
     tilted = R[2, 2] < 1.0
@@ -117,15 +117,15 @@ def measure_excess(
     """
     low, high = (np.asarray(bound_m / np.float32(STEP_M) + BELOW, np.float32) for bound_m in (low_m, high_m))
     excess = np.empty(len(numbers), np.float32)
-    run_in_threads(
-        _fill_excess, len(numbers), places.patches, numbers, yaws, low, high, np.float32(most_m / STEP_M), excess
-    )
+    pairs, most = (numbers, yaws), np.float32(most_m / STEP_M)
+    run_in_threads(_fill_excess, len(numbers), places.patches, pairs, (low, high), most, excess)
     return excess * np.float32(STEP_M**2)
 
 
 @njit(fast=True)
-def _fill_excess(first, last, patches, numbers, yaws, low, high, most, excess):
+def _fill_excess(first, last, patches, pairs, bounds, most, excess):
     """Fill `excess` (K,) for the pairs from first to last. Heights are in the steps of the patches (N, S, S)."""
+    (numbers, yaws), (low, high) = pairs, bounds
     side, zero = patches.shape[1], np.float32(0)
     columns = np.empty(side, np.float32)  # one sum for each column, so that the compiler handles several at once
     for k in range(first, last):

@@ -88,9 +88,13 @@ class JointRegistration:
         return found.add_to(results, np.flatnonzero(good))
 
     def register_coarsely(
-        self, views: Sequence[View], T_first_object: Poses, kept: int | None = None, prior: Prior | None = None,
+        self,
+        views: Sequence[View],
+        T_first_object: Poses,
+        kept: int | None = None,
+        prior: Prior | None = None,
         cell_m: float | None = None,
-    ) -> Poses:  # fmt: skip
+    ) -> Poses:
         """Register many poses (K, 4, 4), metres, roughly, and return the registered poses (K, 4, 4), metres.
 
         Only a fraction of the points is used. Nothing is rendered, so a registered pose can be worse than before. With
@@ -163,18 +167,25 @@ class JointRegistration:
         options, mesh = self.options, views[0].scene.object.mesh
         area_m2 = float(mesh.face_areas.sum()) / SAMPLES
         observed = observe(
-            [view.touch for view in views], options.image_px, options.points, options.noise_mm / MILLI,
-            options.patch_mm / MILLI, area_m2,
-        )  # fmt: skip
+            [view.touch for view in views],
+            options.image_px,
+            options.points,
+            options.noise_mm / MILLI,
+            options.patch_mm / MILLI,
+            area_m2,
+        )
         press_mm = [_press_std_m(view, options.press_error) * MILLI for view in views]
         sensor = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]
         return RegistrationProblem(
-            observed, _scale(np.stack([view.T_sensor_first for view in views]), MILLI), np.square(sensor),
-            np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]), options.noise_mm,
+            observed,
+            _scale(np.stack([view.T_sensor_first for view in views]), MILLI),
+            np.square(sensor),
+            np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]),
+            options.noise_mm,
             _triangles_mm(build_surface_field(mesh, cell_m)),
             _samples_mm(mesh),
             mesh.centroid_m * MILLI,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,9 +224,12 @@ class _Found:
         own, others = self.compute_covariances(good), self.compute_reported_covariances(good)
         for k, one, other in zip(good, own, others, strict=True):
             results[k] = dataclasses.replace(
-                poses[k], covariance=one, T_sensors_object=each[k], T_reported_object=reported[k],
+                poses[k],
+                covariance=one,
+                T_sensors_object=each[k],
+                T_reported_object=reported[k],
                 reported_covariance=other,
-            )  # fmt: skip
+            )
         return results
 
 

@@ -21,9 +21,12 @@ class ByteCache(Generic[K, V]):
     """
 
     def __init__(
-        self, most_bytes: int, measure: Callable[[V], int], release: Callable[[V], object] = lambda value: None,
+        self,
+        most_bytes: int,
+        measure: Callable[[V], int],
+        release: Callable[[V], object] = lambda value: None,
         fewest: int = 1,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.most_bytes, self.measure, self.release, self.fewest = most_bytes, measure, release, fewest
         self._kept: dict[K, tuple[V, int]] = {}  # values with their bytes; the last used comes last
         self._total = 0

@@ -30,11 +30,10 @@ def make_contact_cloud(shape: ContactShape, geometry: SensorGeometry, walls: boo
     walls, because the object continues beyond it. An elastic gel shows no walls, because it slopes down beside them.
     """
     observed, depth_m = geometry.observed_mask, np.ascontiguousarray(shape.depth_m, float)
-    points, normals = make_cloud(
-        depth_m + geometry.full_penetration_m, shape.press_depth_m - depth_m,
-        np.ascontiguousarray(shape.contact & observed), observed, *geometry.pixel_slopes, geometry.is_pinhole,
-        geometry.pixel_pitch_m, walls and not geometry.gel.is_elastic, *_list_outline_weights(),
-    )  # fmt: skip
+    surface = depth_m + geometry.full_penetration_m, np.ascontiguousarray(shape.contact & observed), observed
+    rays, walls = (*geometry.pixel_slopes, geometry.is_pinhole), walls and not geometry.gel.is_elastic
+    drop_m, pitch_m = shape.press_depth_m - depth_m, geometry.pixel_pitch_m
+    points, normals = make_cloud(surface, drop_m, rays, pitch_m, walls, _list_outline_weights())
     return points, normals
 
 
@@ -99,13 +98,14 @@ TINY = 1e-9  # a difference of neighbours on a flat surface, along rows or colum
 
 
 @njit
-def make_cloud(z, drop, contact, observed, x_slopes, y_slopes, pinhole, pitch, walls, smooth, slope):
-    """Return the points (P, 3) and unit normals (P, 3) of `clouds.make_contact_cloud`, first those of the surface.
+def make_cloud(surface, drop, rays, pitch, walls, weights):
+    """Return the points (P, 3) and unit normals (P, 3) of `make_contact_cloud`, first those of the surface.
 
-    `z` and `drop` (H, W), metres, are the surface's z and its height above the deepest point of walls. `contact` (H, W)
-    is the observed contact. `x_slopes` (W,) and `y_slopes` (H,) are `SensorGeometry.pixel_slopes`, and `pitch` is the
-    size of a pixel, metres. `smooth` and `slope` (2 r + 1,) are as for `find_outwards`.
+    `surface` are the surface's z, metres, the observed contact and the observed pixels (H, W). `drop` (H, W), metres,
+    is its height above the deepest point of walls. `rays` are the slopes (W,), (H,) of `SensorGeometry.pixel_slopes`,
+    and whether the camera is a pinhole. `pitch` is the size of a pixel, metres. `weights` are as for `find_outwards`.
     """
+    (z, contact, observed), (smooth, slope) = surface, weights
     height, width = z.shape
     count = np.count_nonzero(contact)
     if walls:
@@ -117,8 +117,8 @@ def make_cloud(z, drop, contact, observed, x_slopes, y_slopes, pinhole, pitch, w
     for row in range(height):
         for column in range(width):
             if contact[row, column]:
-                points[out, 0], points[out, 1], points[out, 2] = find_point(row, column, z, x_slopes, y_slopes, pinhole)
-                fill_normal(row, column, z, contact, x_slopes, y_slopes, pinhole, normals[out])
+                points[out, 0], points[out, 1], points[out, 2] = find_point(row, column, z, rays)
+                fill_normal(row, column, z, contact, rays, normals[out])
                 out += 1
     if out == count:
         return points, normals
@@ -135,7 +135,7 @@ def make_cloud(z, drop, contact, observed, x_slopes, y_slopes, pinhole, pitch, w
                 if not outwards[0] * right + outwards[1] * down > 0.0:
                     # a line of pixels has no outline direction, so its walls face along rows or columns
                     outwards[0], outwards[1] = right, down
-                x, y, bottom = find_point(row, column, z, x_slopes, y_slopes, pinhole)
+                x, y, bottom = find_point(row, column, z, rays)
                 for level in range(1, math.floor(drop[row, column] / pitch) + 1):
                     points[out, 0] = x + pitch * (0.5 * right)
                     points[out, 1] = y + pitch * (0.5 * down)
@@ -217,36 +217,37 @@ def count_sides(row, column, contact, observed):
 
 
 @njit
-def find_point(row, column, z, x_slopes, y_slopes, pinhole):
+def find_point(row, column, z, rays):
     """Return x, y, z, metres, of the point that a pixel sees at its z."""
+    x_slopes, y_slopes, pinhole = rays
     k = z[row, column] if pinhole else 1.0
     return x_slopes[column] * k, y_slopes[row] * k, z[row, column]
 
 
 @njit
-def fill_normal(row, column, z, contact, x_slopes, y_slopes, pinhole, normal):
+def fill_normal(row, column, z, contact, rays, normal):
     """Fill `normal` (3,) with the unit normal at a pixel in contact, from differences between neighbours in contact."""
-    d0, d1, d2 = find_difference(row, column, 1, 0, z, contact, x_slopes, y_slopes, pinhole)
-    r0, r1, r2 = find_difference(row, column, 0, 1, z, contact, x_slopes, y_slopes, pinhole)
+    d0, d1, d2 = find_difference(row, column, 1, 0, z, contact, rays)
+    r0, r1, r2 = find_difference(row, column, 0, 1, z, contact, rays)
     n0, n1, n2 = d1 * r2 - d2 * r1, d2 * r0 - d0 * r2, d0 * r1 - d1 * r0
     length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
     normal[0], normal[1], normal[2] = n0 / length, n1 / length, n2 / length
 
 
 @njit
-def find_difference(row, column, down, right, z, contact, x_slopes, y_slopes, pinhole):
+def find_difference(row, column, down, right, z, contact, rays):
     """Return the mean of the forward and backward differences between a pixel and its neighbours in contact.
 
     A pixel without neighbours in contact gets the difference of a flat surface.
     """
-    x, y, height = find_point(row, column, z, x_slopes, y_slopes, pinhole)
+    x, y, height = find_point(row, column, z, rays)
     s0 = s1 = s2 = 0.0
     count = 0
     for sign in (1, -1):
         i, j = row + sign * down, column + sign * right
         if i < 0 or j < 0 or i >= contact.shape[0] or j >= contact.shape[1] or not contact[i, j]:
             continue
-        other_x, other_y, other_height = find_point(i, j, z, x_slopes, y_slopes, pinhole)
+        other_x, other_y, other_height = find_point(i, j, z, rays)
         s0, s1, s2 = s0 + sign * (other_x - x), s1 + sign * (other_y - y), s2 + sign * (other_height - height)
         count += 1
     if count == 0:

@@ -59,11 +59,11 @@ def find_lowest_points(
 ) -> NDArray[np.float64]:
     """Return the z (N,), metres, of each pose's lowest point over a rectangle (x0, x1, y0, y1); inf if it has none."""
     R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
-    rotations, starts, members = group_rotations(R)
+    groups = group_rotations(R)
     triangles, t = make_triangle_blocks(mesh), np.ascontiguousarray(t)
     rectangle = np.asarray(rectangle_m, float)
-    result = np.full(len(members), np.inf)
-    run_in_threads(_fill_lowest, len(rotations), triangles, rotations, starts, members, t, rectangle, result)
+    result = np.full(len(T_sensor_object), np.inf)
+    run_in_threads(_fill_lowest, len(groups[0]), triangles, groups, t, rectangle, result)
     return result
 
 
@@ -74,7 +74,7 @@ def find_lowest_over_relief(
     T = np.ascontiguousarray(T_sensor_object, float)
     result = np.full(len(T), np.inf)
     gel = (np.asarray(geometry.rectangle, float), *make_upright_relief(geometry))
-    run_in_threads(_fill_lowest_curved, len(T), make_triangle_blocks(mesh), T, *gel, result)
+    run_in_threads(_fill_lowest_curved, len(T), make_triangle_blocks(mesh), T, gel, result)
     return result
 
 
@@ -112,8 +112,9 @@ def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
 
 
 @njit
-def _fill_lowest(first, last, triangles, rotations, starts, members, t, rectangle, result):
+def _fill_lowest(first, last, triangles, groups, t, rectangle, result):
     """Fill `result` (N,) with the lowest z of all poses that have one of the rotations from first to last."""
+    rotations, starts, members = groups
     for k in range(first, last):
         _search_blocks(triangles, rotations[k], members[starts[k] : starts[k + 1]], t, rectangle, result)
 
@@ -243,8 +244,9 @@ def _find_height_at(p, x, y):
 
 
 @njit
-def _fill_lowest_curved(first, last, triangles, T, rectangle, relief, lattice, result):
+def _fill_lowest_curved(first, last, triangles, T, gel, result):
     """Fill `result` (N,) with the least height above the gel of each pose from first to last."""
+    rectangle, relief, lattice = gel
     p, centre, highest = np.empty((3, 3)), np.empty(3), relief.max()
     x0, x1, y0, y1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
     for i in range(first, last):
@@ -267,7 +269,7 @@ def _find_lowest_inside(p, x0, x1, y0, y1, relief, lattice):
     """Return the least height above the gel of a triangle (3, 3), sampled along its edges and inside it."""
     best = np.inf
     for c in range(3):
-        best = min(best, _find_lowest_along(p[c], p[(c + 1) % 3], x0, x1, y0, y1, relief, lattice))
+        best = min(best, _find_lowest_along(p[c], p[(c + 1) % 3], (x0, x1, y0, y1), relief, lattice))
     low_x, high_x = max(x0, p[:, 0].min()), min(x1, p[:, 0].max())
     low_y, high_y = max(y0, p[:, 1].min()), min(y1, p[:, 1].max())
     if low_x > high_x or low_y > high_y:
@@ -284,8 +286,9 @@ def _find_lowest_inside(p, x0, x1, y0, y1, relief, lattice):
 
 
 @njit
-def _find_lowest_along(a, b, x0, x1, y0, y1, relief, lattice):
+def _find_lowest_along(a, b, rectangle, relief, lattice):
     """Return the least height above the gel of segment a-b over the rectangle; inf if a-b is beside the rectangle."""
+    x0, x1, y0, y1 = rectangle
     enter, leave = _clip_segment(a, b, x0, x1, y0, y1)
     if enter > leave:
         return np.inf

@@ -315,14 +315,34 @@ NoiseLevel = Literal["none", "mild", "strong"]
 NOISE: dict[str, TouchNoise] = {
     "none": TouchNoise(),
     "mild": TouchNoise(
-        press_share=(0.75, 1.0), press_error=0.03, smoothing_m=1.5e-4, least_m=5e-5, edge_m=5e-5, drift_m=3e-5,
-        missing=0.5, spurious=0.2, patch_m=1.5e-3, border_m=5e-4, sensor_m=1e-4, sensor_rad=math.radians(0.3),
+        press_share=(0.75, 1.0),
+        press_error=0.03,
+        smoothing_m=1.5e-4,
+        least_m=5e-5,
+        edge_m=5e-5,
+        drift_m=3e-5,
+        missing=0.5,
+        spurious=0.2,
+        patch_m=1.5e-3,
+        border_m=5e-4,
+        sensor_m=1e-4,
+        sensor_rad=math.radians(0.3),
     ),
     "strong": TouchNoise(
-        press_share=(0.5, 1.0), press_error=0.08, smoothing_m=3e-4, least_m=5e-5, edge_m=1.5e-4, drift_m=1e-4,
-        missing=2.0, spurious=1.0, patch_m=2.5e-3, border_m=2e-3, sensor_m=3e-4, sensor_rad=math.radians(1.0),
+        press_share=(0.5, 1.0),
+        press_error=0.08,
+        smoothing_m=3e-4,
+        least_m=5e-5,
+        edge_m=1.5e-4,
+        drift_m=1e-4,
+        missing=2.0,
+        spurious=1.0,
+        patch_m=2.5e-3,
+        border_m=2e-3,
+        sensor_m=3e-4,
+        sensor_rad=math.radians(1.0),
     ),
-}  # fmt: skip
+}
 
 
 def make_noise(name: str) -> TouchNoise:

@@ -205,9 +205,16 @@ class SensorGeometry:
             observed = self.observed[np.ix_(rows, columns)]
         relief_m = self._resize_relief(width_px, height_px)
         return dataclasses.replace(
-            self, width_px=width_px, height_px=height_px, observed=observed, relief_m=relief_m,
-            fx=self.fx * kx, fy=self.fy * ky, cx=self.cx * kx, cy=self.cy * ky,
-        )  # fmt: skip
+            self,
+            width_px=width_px,
+            height_px=height_px,
+            observed=observed,
+            relief_m=relief_m,
+            fx=self.fx * kx,
+            fy=self.fy * ky,
+            cx=self.cx * kx,
+            cy=self.cy * ky,
+        )
 
     def _resize_relief(self, width_px: int, height_px: int) -> Depth | None:
         """Return the relief, metres, at another image size, interpolated linearly between pixel centres."""
@@ -225,10 +232,17 @@ class SensorGeometry:
         observed = None if self.observed is None else self.observed[::step, ::step]
         relief_m = None if self.relief_m is None else self.relief_m[::step, ::step]
         return dataclasses.replace(
-            self, width_px=columns, height_px=rows, fx=self.fx / step, fy=self.fy / step,
-            cx=(self.cx - 0.5) / step + 0.5, cy=(self.cy - 0.5) / step + 0.5, rectangle_m=self.rectangle,
-            observed=observed, relief_m=relief_m,
-        )  # fmt: skip
+            self,
+            width_px=columns,
+            height_px=rows,
+            fx=self.fx / step,
+            fy=self.fy / step,
+            cx=(self.cx - 0.5) / step + 0.5,
+            cy=(self.cy - 0.5) / step + 0.5,
+            rectangle_m=self.rectangle,
+            observed=observed,
+            relief_m=relief_m,
+        )
 
     def press(self, indentation_m: float, press_depth_m: float | None = None) -> SensorGeometry:
         """Return the sensor with an object that is pressed `indentation_m` metres into the gel.
@@ -243,9 +257,11 @@ class SensorGeometry:
                 f"{self.surface_m * 1e3:.3g} mm behind the surface"
             )
         return dataclasses.replace(
-            self, standoff_m=self.surface_m - indentation_m, indentation_m=indentation_m,
+            self,
+            standoff_m=self.surface_m - indentation_m,
+            indentation_m=indentation_m,
             max_depth_m=indentation_m if press_depth_m is None else press_depth_m,
-        )  # fmt: skip
+        )
 
     def resize_long_side(self, pixels: int) -> SensorGeometry:
         """Return the same sensor, resized so that the longer side of its image has `pixels` pixels."""

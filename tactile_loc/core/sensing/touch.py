@@ -167,9 +167,16 @@ class Touch:
 
     @classmethod
     def from_depth(
-        cls, array: ArrayLike, *, kind: DepthKind, sensor: SensorGeometry | HasGeometry, unit: DepthUnit = "m",
-        press_depth_m: float | None = None, name: str = "touch", **poses: Any,
-    ) -> Self:  # fmt: skip
+        cls,
+        array: ArrayLike,
+        *,
+        kind: DepthKind,
+        sensor: SensorGeometry | HasGeometry,
+        unit: DepthUnit = "m",
+        press_depth_m: float | None = None,
+        name: str = "touch",
+        **poses: Any,
+    ) -> Self:
         """Make a touch from a depth map (H, W) in `unit`, which `sensor` (a SensorModel or SensorGeometry) took.
 
         `kind` states what the values mean:
@@ -195,16 +202,21 @@ class Touch:
         values = require_numbers(np.asarray(array), name) * METRES_PER_UNIT[unit]
         if kind != "distance":
             values = blank_unobserved(values, geometry)
-        shape = contact_shape_from_array(
-            values, geometry.max_depth_m, press_depth_m, name, states_unit=True, kind=kind, gel=geometry.gel
-        )
+        meaning = Meaning(kind, states_unit=True)
+        shape = contact_shape_from_array(values, geometry.max_depth_m, press_depth_m, name, meaning, geometry.gel)
         return cls(shape, geometry, name, **poses)
 
     @classmethod
     def from_mask(
-        cls, mask: ArrayLike, *, sensor: SensorGeometry | HasGeometry, press_depth_m: float | None = None,
-        press_std_m: float | None = None, name: str = "touch", **poses: Any,
-    ) -> Self:  # fmt: skip
+        cls,
+        mask: ArrayLike,
+        *,
+        sensor: SensorGeometry | HasGeometry,
+        press_depth_m: float | None = None,
+        press_std_m: float | None = None,
+        name: str = "touch",
+        **poses: Any,
+    ) -> Self:
         """Make a touch from a contact mask (H, W), whose pixels in contact are True or 1; all others are False or 0.
 
         The touch has no depths, so it is located by the outline of its contact. `press_depth_m`, metres, is how deep
@@ -295,28 +307,46 @@ def require_depths(touch: Touch, task: str) -> None:
         raise TouchError(f"{touch.name} is a contact mask, but {task} needs depths; give a depth map")
 
 
+@dataclass(frozen=True)
+class Meaning:
+    """The kind of a map's values, and how messages speak of them.
+
+    `states_unit` says whether the unit is stated with the touch. `option` shows how the caller states another kind. If
+    it is None, the kind is certain, so maps with the opposite meaning are not looked for.
+    """
+
+    kind: DepthKind = "distance"
+    states_unit: bool = False
+    option: str | None = 'kind="{}"'
+
+
+DISTANCES = Meaning()
+
+
 def contact_shape_from_array(
-    values: ArrayLike, max_depth_m: float, press_depth_m: float | None = None, name: str = "touch",
-    states_unit: bool = False, kind: DepthKind = "distance", gel: Gel = RIGID, option: str | None = 'kind="{}"',
-) -> ContactShape:  # fmt: skip
-    """Make a contact shape from depths (H, W), metres, of a `kind` that `Touch.from_depth` explains.
+    values: ArrayLike,
+    max_depth_m: float,
+    press_depth_m: float | None = None,
+    name: str = "touch",
+    meaning: Meaning = DISTANCES,
+    gel: Gel = RIGID,
+) -> ContactShape:
+    """Make a contact shape from values (H, W), metres. `Touch.from_depth` explains their kinds.
 
     For distances from full penetration, NaN, or a depth of at least `max_depth_m`, means no contact. If `press_depth_m`
     is None, the press depth is the largest depth in contact. It is at least a quarter of `max_depth_m`, because a flat
     imprint does not show how deep it was pressed. If every pixel is in contact and the depths differ, the pixels at the
     largest depth are taken to be out of contact. `gel` is used for the other kinds.
 
-    `states_unit` says whether the unit is stated with the touch, for advice in messages. `option` shows how the caller
-    states another kind. If it is None, the kind is certain, so maps with the opposite meaning are not looked for.
     Raises TouchError if the array has a wrong type or shape, or if its depths do not fit the sensor or the kind.
     """
     raw = require_numbers(np.asarray(values), name)
-    if kind == "distance":
-        shape = _make_from_distance(raw, max_depth_m, press_depth_m, name, states_unit, option)
+    if meaning.kind == "distance":
+        shape = _make_from_distance(raw, max_depth_m, press_depth_m, name, meaning)
     else:
-        shape = _make_from_surface(raw, max_depth_m, press_depth_m, name, states_unit, kind, gel)
-    if option is not None and kind in OPPOSITE:
-        _refuse_opposite(shape, press_depth_m, name, kind, option)
+        shape = _make_from_surface(raw, max_depth_m, press_depth_m, name, meaning, gel)
+    if meaning.option is not None and meaning.kind in OPPOSITE:
+        _refuse_opposite(shape, press_depth_m, name, meaning.kind, meaning.option)
     return shape
 
 
@@ -347,16 +377,16 @@ def blank_unobserved(values: NDArray[Any], geometry: SensorGeometry) -> NDArray[
 
 
 def _make_from_distance(
-    values: NDArray[Any], max_depth_m: float, press_depth_m: float | None, name: str, states_unit: bool,
-    option: str | None,
-) -> ContactShape:  # fmt: skip
+    values: NDArray[Any], max_depth_m: float, press_depth_m: float | None, name: str, meaning: Meaning
+) -> ContactShape:
     with np.errstate(over="ignore"):  # depths that are too large for float32 are beyond the sensor too
         depth = np.where(np.isnan(values), np.inf, values).astype(np.float32)
     if (depth < -1e-6).any():
-        others = "" if option is None else f", or {option.format('height')} if the untouched gel has the value 0"
+        height = "" if meaning.option is None else meaning.option.format("height")
+        others = f", or {height} if the untouched gel has the value 0" if height else ""
         raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration{others}")
     finite = depth[np.isfinite(depth)]
-    _require_plausible(float(finite.max(initial=0.0)), max_depth_m, name, states_unit)
+    _require_plausible(float(finite.max(initial=0.0)), max_depth_m, name, meaning.states_unit)
     if press_depth_m is None:
         press_depth_m = _find_deepest_step(depth, max_depth_m)
     _require_in_range(press_depth_m, max_depth_m, name)
@@ -365,9 +395,14 @@ def _make_from_distance(
 
 
 def _make_from_surface(
-    values: NDArray[Any], max_depth_m: float, press_depth_m: float | None, name: str, states_unit: bool,
-    kind: DepthKind, gel: Gel,
-) -> ContactShape:  # fmt: skip
+    values: NDArray[Any],
+    max_depth_m: float,
+    press_depth_m: float | None,
+    name: str,
+    meaning: Meaning,
+    gel: Gel,
+) -> ContactShape:
+    kind = meaning.kind
     indentation = find_indentation(values.astype(np.float64), kind, gel)
     deepest_m = float(indentation.max())
     if deepest_m < TINY_M:
@@ -376,7 +411,7 @@ def _make_from_surface(
             f"{name} shows no contact: the gel is pressed in by at most {1e3 * deepest_m:.1g} mm; press the object on "
             f"the sensor, or check the unit and the sign ({kind}s are {sign} where the gel is pressed in)"
         )
-    _require_plausible(deepest_m, max_depth_m, name, states_unit)
+    _require_plausible(deepest_m, max_depth_m, name, meaning.states_unit)
     press_m = deepest_m if press_depth_m is None else press_depth_m
     _require_in_range(press_m, max_depth_m, name)
     full_m = max(deepest_m, press_m)
@@ -390,9 +425,10 @@ def _require_plausible(largest_m: float, max_depth_m: float, name: str, states_u
     """Raise TouchError if the largest value is so large that its unit must be wrong."""
     if largest_m > 100 * max_depth_m:
         advice = (
-            "check its unit, and max_depth_mm (in mm) of the sensor" if states_unit
+            "check its unit, and max_depth_mm (in mm) of the sensor"
+            if states_unit
             else "its unit is probably wrong; give `touch_unit` mm or um"
-        )  # fmt: skip
+        )
         raise TouchError(
             f"{name} has depths up to {largest_m:.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; {advice}"
         )
@@ -407,9 +443,7 @@ def _require_in_range(press_depth_m: float, max_depth_m: float, name: str) -> No
         )
 
 
-def _refuse_opposite(
-    shape: ContactShape, press_depth_m: float | None, name: str, kind: DepthKind, option: str
-) -> None:  # fmt: skip
+def _refuse_opposite(shape: ContactShape, press_depth_m: float | None, name: str, kind: DepthKind, option: str) -> None:
     """Raise TouchError if the depths of a shape have the opposite meaning; log a warning if they may have it.
 
     If the largest depth is much less than the given press depth, the shape is in contact everywhere, so it is right.

@@ -40,7 +40,7 @@ def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: Se
     ends = NEAREST * geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
     camera = geometry.is_pinhole, geometry.fx, geometry.fy, geometry.cx, geometry.cy, *ends
     which = np.empty((len(T), 0, 0), np.int32)
-    run_in_threads(_draw, len(T), make_triangle_blocks(mesh), T, camera, *geometry.pixel_slopes, depth, which)
+    run_in_threads(_draw, len(T), make_triangle_blocks(mesh), T, camera, geometry.pixel_slopes, (depth, which))
     return depth
 
 
@@ -57,16 +57,17 @@ def draw_nearest_faces(
     which = np.full(depth.shape, -1, np.int32)
     fx, fy = 1 / (x[1] - x[0]), 1 / (y[1] - y[0])
     camera = False, fx, fy, 0.5 - fx * x[0], 0.5 - fy * y[0], 0.0, np.inf
-    _draw(0, 1, block, np.ascontiguousarray(T_camera_object, float)[None], camera, x, y, depth, which)
+    _draw(0, 1, block, np.ascontiguousarray(T_camera_object, float)[None], camera, (x, y), (depth, which))
     return depth[0], which[0]
 
 
 @njit
-def _draw(first, last, triangles, T, camera, slopes_x, slopes_y, depth, which):
-    """Fill `depth` (N, H, W) for the poses `T` (N, 4, 4) from first to last.
+def _draw(first, last, triangles, T, camera, slopes, drawn):
+    """Fill the depths (N, H, W) of `drawn` for the poses `T` (N, 4, 4) from first to last.
 
-    Unless `which` is empty, fill it with the indices of the triangles that the rays hit.
+    Unless the second array of `drawn` is empty, fill it with the indices of the triangles that the rays hit.
     """
+    (slopes_x, slopes_y), (depth, which) = slopes, drawn
     placed, centre = np.empty((3, 3)), np.empty(3)
     pinhole, far = camera[0], camera[6]
     # slopes of the outermost rays; the planes through these rays bound the view

@@ -156,9 +156,11 @@ def count_turns_alike(symmetry: SymmetryGroup, normal: NDArray[np.float64]) -> f
 
 
 def _tilt(
-    R_face: NDArray[np.float64], yaw_rad: NDArray[np.float64], about_x_rad: NDArray[np.float64],
+    R_face: NDArray[np.float64],
+    yaw_rad: NDArray[np.float64],
+    about_x_rad: NDArray[np.float64],
     about_y_rad: NDArray[np.float64],
-) -> NDArray[np.float64]:  # fmt: skip
+) -> NDArray[np.float64]:
     """Return rotations (N, 3, 3): the face rotated by yaw, then tilted about the sensor's x and y, (N,) radians."""
     tilt = rotation_about([1, 0, 0], about_x_rad) @ rotation_about([0, 1, 0], about_y_rad)
     return tilt @ rotation_about([0, 0, 1], yaw_rad) @ R_face

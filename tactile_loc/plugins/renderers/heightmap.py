@@ -66,19 +66,20 @@ class HeightmapRenderer(Renderer):
         end = geometry.standoff_m + geometry.max_depth_m + WALL * cell
         ceilings = np.maximum.reduceat(end - T[members, 2, 3], starts[:-1])
         triangles, t = np.ascontiguousarray(mesh.triangles_m), np.ascontiguousarray(T[:, :3, 3])
-        camera = geometry.is_pinhole, geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
+        band = geometry.standoff_m, geometry.standoff_m + geometry.max_depth_m
+        camera = geometry.is_pinhole, *band, *geometry.pixel_slopes, cell
         step = max(1, int(MAX_MAP_BYTES // (4 * cells[0] * cells[1])))
         for first in range(0, len(rotations), step):
             some = slice(first, first + step)
             last = min(first + step, len(rotations))
             maps = np.empty((last - first, *cells), np.float32)
             poses = slice(starts[first], starts[last])
-            run_in_threads(rasterise, len(maps), triangles, rotations[some], low[some], ceilings[some], cell, maps)
+            turned = rotations[some], low[some], ceilings[some]
+            run_in_threads(rasterise, len(maps), triangles, turned, cell, maps)
             fine = _find_minima(maps, FINE)
-            tiles = fine, _find_minima(fine, COARSE // FINE)
+            tiles = maps, fine, _find_minima(fine, COARSE // FINE), low[some]
             which = slot[poses] - first, members[poses]
-            view = camera, *geometry.pixel_slopes, depth
-            run_in_threads(sample, len(which[0]), maps, *tiles, low[some], cell, *which, t, *view)
+            run_in_threads(sample, len(which[0]), tiles, which, t, camera, depth)
         return depth
 
     def render_apart(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
@@ -127,8 +128,12 @@ def _measure_view(geometry: SensorGeometry) -> tuple[Floats, Floats]:
 
 
 @njit(fast=True)
-def rasterise(first, last, triangles, rotations, corners, ceilings, cell, maps):
-    """Draw lower envelopes (K, rows, columns) of triangles (F, 3, 3) at the rotations from first to last."""
+def rasterise(first, last, triangles, turned, cell, maps):
+    """Draw lower envelopes (K, rows, columns) of triangles (F, 3, 3) at the rotations from first to last.
+
+    `turned` are the rotations (K, 3, 3), the corners (K, 2) of their maps, and the heights (K,) where the maps end.
+    """
+    rotations, corners, ceilings = turned
     for k in range(first, last):
         _rasterise_one(triangles, rotations[k], corners[k], ceilings[k], cell, maps[k])
 
@@ -186,43 +191,48 @@ def _find_span(p, r):
 
 
 @njit(fast=True)
-def sample(first, last, maps, fine, coarse, corners, cell, slot, members, t, camera, slopes_x, slopes_y, depth):
-    """Fill `depth` (N, H, W) for the poses members[first:last], each from map slot[m], as seen by `camera`."""
+def sample(first, last, tiles, which, t, camera, depth):
+    """Fill `depth` (N, H, W) for the poses members[first:last], each from map slot[m], as seen by `camera`.
+
+    `tiles` are the maps, their minima at two levels and their corners. `which` are `slot` and `members`. `camera`
+    states whether it is a pinhole, the begin and the end of the band, the slopes of its rays, and the size of a cell.
+    """
+    (maps, fine, coarse, corners), (slot, members) = tiles, which
     for m in range(first, last):
         i, k = members[m], slot[m]
-        _sample_one(maps[k], fine[k], coarse[k], corners[k], cell, t[i], camera, slopes_x, slopes_y, depth[i])
+        _sample_one(maps[k], fine[k], coarse[k], corners[k], t[i], camera, depth[i])
 
 
 @njit(fast=True)
-def _sample_one(envelope, fine, coarse, corner, cell, t, camera, slopes_x, slopes_y, picture):
-    """Fill a picture (H, W) from one map, as seen by `camera`: (whether it is a pinhole, band begin, band end).
+def _sample_one(envelope, fine, coarse, corner, t, camera, picture):
+    """Fill a picture (H, W) from one map, as seen by `camera`.
 
     Blocks of pixels are divided until their part of the map lies beyond the band, or until they are traced.
     """
     picture.fill(np.inf)
     height, width = picture.shape
     big, middle, small = BLOCKS
-    end = camera[2]
+    end, cell = camera[2], camera[5]
     offset = ((t[0] + corner[0]) / cell, (t[1] + corner[1]) / cell, t[2])
     for v in range(0, height, big):
         for u in range(0, width, big):
-            if _find_lowest(coarse, COARSE, slopes_x, slopes_y, u, v, big, camera, cell, offset) >= end:
+            if _find_lowest(coarse, COARSE, u, v, big, camera, offset) >= end:
                 continue
             for v1 in range(v, min(v + big, height), middle):
                 for u1 in range(u, min(u + big, width), middle):
-                    if _find_lowest(coarse, COARSE, slopes_x, slopes_y, u1, v1, middle, camera, cell, offset) >= end:
+                    if _find_lowest(coarse, COARSE, u1, v1, middle, camera, offset) >= end:
                         continue
                     for v2 in range(v1, min(v1 + middle, height), small):
                         for u2 in range(u1, min(u1 + middle, width), small):
-                            low = _find_lowest(fine, FINE, slopes_x, slopes_y, u2, v2, small, camera, cell, offset)
+                            low = _find_lowest(fine, FINE, u2, v2, small, camera, offset)
                             if low < end:
-                                _trace(envelope, low, slopes_x, slopes_y, u2, v2, camera, cell, offset, picture)
+                                _trace(envelope, low, u2, v2, camera, offset, picture)
 
 
 @njit(fast=True)
-def _find_lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offset):
+def _find_lowest(tiles, tile, u, v, size, camera, offset):
     """Return the least depth of all tiles that a block's rays cross in the band, with a margin of one cell."""
-    pinhole, begin, end = camera
+    pinhole, begin, end, slopes_x, slopes_y, cell = camera
     near, far = (begin / cell, end / cell) if pinhole else (1.0 / cell, 1.0 / cell)
     x0, x1 = slopes_x[u], slopes_x[min(u + size, len(slopes_x)) - 1]
     y0, y1 = slopes_y[v], slopes_y[min(v + size, len(slopes_y)) - 1]
@@ -239,9 +249,9 @@ def _find_lowest(tiles, tile, slopes_x, slopes_y, u, v, size, camera, cell, offs
 
 
 @njit(fast=True)
-def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, picture):
+def _trace(envelope, low, u, v, camera, offset, picture):
     """Trace every ray of a small block of pixels, starting at the block's least depth."""
-    pinhole, begin, end = camera
+    pinhole, begin, end, slopes_x, slopes_y, cell = camera
     wall = WALL * cell
     x0, y0, z0 = offset
     low = max(low, begin)
@@ -250,7 +260,7 @@ def _trace(envelope, low, slopes_x, slopes_y, u, v, camera, cell, offset, pictur
         for column in range(u, min(u + BLOCKS[2], len(slopes_x))):
             sx = slopes_x[column] / cell
             if pinhole:
-                picture[row, column] = _march(envelope, sx, sy, x0, y0, z0, low, end, wall)
+                picture[row, column] = _march(envelope, (sx, sy, x0, y0, z0), low, end, wall)
             else:
                 picture[row, column] = _interpolate_height(envelope, sx - x0 - 0.5, sy - y0 - 0.5, wall) + z0
 
@@ -270,11 +280,12 @@ def _interpolate_height(envelope, c, r, wall):
 
 
 @njit(fast=True)
-def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
+def _march(envelope, ray, low, end, wall):
     """Return the depth, between `low` and `end`, at which a pinhole ray first meets the map, or inf.
 
-    At depth z, the ray is at cell (sx z - x0, sy z - y0). The ray advances by at most two cells in a step.
+    At depth z, the `ray` is at cell (sx z - x0, sy z - y0). The ray advances by at most two cells in a step.
     """
+    sx, sy, x0, y0, z0 = ray
     rows, columns = envelope.shape
     steps = 1 + int(0.5 * max(abs(sx), abs(sy)) * (end - low))
     step = (end - low) / steps
@@ -282,19 +293,20 @@ def _march(envelope, sx, sy, x0, y0, z0, low, end, wall):
     for _ in range(steps + 1):
         i, j = int(r), int(c)
         if 0 <= i < rows and 0 <= j < columns and envelope[i, j] + z0 <= z:
-            hit = _find_crossing(envelope, sx, sy, x0 + 0.5, y0 + 0.5, z0, max(low, z - step), z, wall)
+            hit = _find_crossing(envelope, (sx, sy, x0 + 0.5, y0 + 0.5, z0), max(low, z - step), z, wall)
             return hit if hit < end else np.inf
         c, r, z = c + sx * step, r + sy * step, z + step
     return np.inf
 
 
 @njit(fast=True)
-def _find_crossing(envelope, sx, sy, x0, y0, z0, before, z, wall):
+def _find_crossing(envelope, ray, before, z, wall):
     """Return the depth, approximately between `before` and `z`, at which the ray crosses the map.
 
     On a slope, two fixed-point steps with Aitken's extrapolation are exact. At a wall, the interval is halved three
     times.
     """
+    sx, sy, x0, y0, z0 = ray
     first = _interpolate_height(envelope, sx * z - x0, sy * z - y0, wall) + z0
     second = _interpolate_height(envelope, sx * first - x0, sy * first - y0, wall) + z0
     move, then = first - z, second - first

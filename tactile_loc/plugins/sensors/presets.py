@@ -18,9 +18,16 @@ def make_orthographic(width_px: int, height_px: int, pixel_pitch_m: float, max_d
     """Return a centred orthographic camera with square pixels. Raises SensorError for impossible numbers."""
     scale = 1.0 / pixel_pitch_m
     return SensorGeometry(
-        "orthographic", width_px, height_px, scale, scale, width_px / 2, height_px / 2,
-        standoff_m=ORTHOGRAPHIC_STANDOFF_M, max_depth_m=max_depth_m,
-    )  # fmt: skip
+        "orthographic",
+        width_px,
+        height_px,
+        scale,
+        scale,
+        width_px / 2,
+        height_px / 2,
+        standoff_m=ORTHOGRAPHIC_STANDOFF_M,
+        max_depth_m=max_depth_m,
+    )
 
 
 class Preset(DepthSensor):

@@ -91,10 +91,14 @@ def test_estimated_gaps_differ_from_the_gaps_by_less_than_a_cell():
 def test_the_closest_point_is_right_in_every_region_of_a_triangle():
     corners = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     cases = {
-        (0.5, 0.5, 3.0): (0.5, 0.5, 0.0), (-1.0, -1.0, 1.0): (0.0, 0.0, 0.0), (5.0, -1.0, 0.0): (2.0, 0.0, 0.0),
-        (-1.0, 5.0, 0.0): (0.0, 2.0, 0.0), (1.0, -2.0, 0.5): (1.0, 0.0, 0.0), (-2.0, 1.0, 0.5): (0.0, 1.0, 0.0),
+        (0.5, 0.5, 3.0): (0.5, 0.5, 0.0),
+        (-1.0, -1.0, 1.0): (0.0, 0.0, 0.0),
+        (5.0, -1.0, 0.0): (2.0, 0.0, 0.0),
+        (-1.0, 5.0, 0.0): (0.0, 2.0, 0.0),
+        (1.0, -2.0, 0.5): (1.0, 0.0, 0.0),
+        (-2.0, 1.0, 0.5): (0.0, 1.0, 0.0),
         (2.0, 2.0, -1.0): (1.0, 1.0, 0.0),
-    }  # fmt: skip
+    }
     for point, nearest in cases.items():
         np.testing.assert_allclose(
             find_closest_on_triangle(np.array(point), corners[0], corners[1:] - corners[0]), nearest, atol=1e-12

@@ -35,10 +35,16 @@ def test_probabilities_are_normalised_at_any_scale(grid):
         assert posterior.log_p[4] == -np.inf
 
 
-@pytest.mark.parametrize("log_p", [
-    np.full(6, -np.inf), np.array([0, 0, np.nan, 0, 0, 0.0]), np.array([0, 0, np.inf, 0, 0, 0.0]), np.zeros(5),
-    np.zeros((6, 1)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "log_p",
+    [
+        np.full(6, -np.inf),
+        np.array([0, 0, np.nan, 0, 0, 0.0]),
+        np.array([0, 0, np.inf, 0, 0, 0.0]),
+        np.zeros(5),
+        np.zeros((6, 1)),
+    ],
+)
 def test_an_invalid_distribution_is_refused(grid, log_p):
     with pytest.raises(GridError):
         PosePosterior(grid, log_p)

@@ -30,10 +30,15 @@ def test_poses_may_be_in_the_frame_of_a_sensor_whose_touch_is_left_out(make_box,
         ]
         (pose,) = JointRegistration().refine(views, invert(T_here) @ starts)
         R = T_here[:3, :3]
-        found.append([
-            T_here @ pose.T_sensor_object, T_here @ pose.T_reported_object, pose.T_sensors_object,
-            rotate_covariance(pose.covariance, R), rotate_covariance(pose.reported_covariance, R),
-        ])  # fmt: skip
+        found.append(
+            [
+                T_here @ pose.T_sensor_object,
+                T_here @ pose.T_reported_object,
+                pose.T_sensors_object,
+                rotate_covariance(pose.covariance, R),
+                rotate_covariance(pose.reported_covariance, R),
+            ]
+        )
         assert pose.imprint_iou > 0.95
     for one, other in zip(*found, strict=True):
         assert other == pytest.approx(one, rel=1e-3, abs=1e-6 * np.abs(one).max())

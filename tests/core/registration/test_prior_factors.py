@@ -68,8 +68,13 @@ def test_a_prior_decides_only_what_a_touch_leaves_open(edge_touch):
 
 def test_registration_with_factors_of_zero_is_that_without_a_prior(edge_touch, monkeypatch):
     view, true = edge_touch
-    starts = np.stack([make_translation([0, 0, z]) @ make_transform(rotation_about([1, 1, 0], a), np.zeros(3)) @ true
-                       for z in (-3e-4, 4e-4) for a in (0.05, -0.08)])  # fmt: skip
+    starts = np.stack(
+        [
+            make_translation([0, 0, z]) @ make_transform(rotation_about([1, 1, 0], a), np.zeros(3)) @ true
+            for z in (-3e-4, 4e-4)
+            for a in (0.05, -0.08)
+        ]
+    )
     both = [View(view.touch, view.scene), View(view.touch, view.scene, make_translation([1e-3, 0, 0]), 1e-4, 1e-3)]
     given = []
     register = RegistrationProblem.register

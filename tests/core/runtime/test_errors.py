@@ -7,9 +7,14 @@ from tactile_loc.core.runtime.errors import ConfigError, TactileLocError, did_yo
 
 @pytest.mark.parametrize(
     ("text", "shown"),
-    [("two\nlines", "two lines"), ("\x1b[31mred", "\\x1b[31mred"), ("a\x00b", "a\\x00b"), ("\ud800", "\\ud800"),
-     ("é \u202e", "é \\u202e")],
-)  # fmt: skip
+    [
+        ("two\nlines", "two lines"),
+        ("\x1b[31mred", "\\x1b[31mred"),
+        ("a\x00b", "a\\x00b"),
+        ("\ud800", "\\ud800"),
+        ("é \u202e", "é \\u202e"),
+    ],
+)
 def test_unprintable_characters_are_escaped(text, shown):
     assert str(TactileLocError(text)) == fold_line(text) == shown
 

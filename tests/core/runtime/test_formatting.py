@@ -44,8 +44,12 @@ def test_lengths_are_written_in_millimetres(length, text):
 
 def test_sizes_are_written_in_bytes():
     assert [format_bytes(n) for n in (0, 999, 1000, 12_345_678, 4_560_000_000)] == [
-        "0 B", "999 B", "1 kB", "12.3 MB", "4.56 GB",
-    ]  # fmt: skip
+        "0 B",
+        "999 B",
+        "1 kB",
+        "12.3 MB",
+        "4.56 GB",
+    ]
 
 
 def test_durations_are_written_with_a_unit():

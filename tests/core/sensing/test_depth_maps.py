@@ -56,8 +56,10 @@ def press_ball(geometry: SensorGeometry, x_m: float = 0.0, y_m: float = 0.0, rad
 def test_all_kinds_of_one_map_give_the_same_touch(geometry: SensorGeometry, unit: DepthUnit) -> None:
     depth_m = press_ball(geometry)
     maps: dict[DepthKind, NDArray[np.float64]] = {
-        "distance": depth_m, "indentation": PRESS_M - depth_m, "height": depth_m - PRESS_M,
-    }  # fmt: skip
+        "distance": depth_m,
+        "indentation": PRESS_M - depth_m,
+        "height": depth_m - PRESS_M,
+    }
     for kind, values in maps.items():
         given_m = PRESS_M if kind == "distance" else None
         touch = Touch.from_depth(
@@ -78,8 +80,12 @@ def test_the_whole_surface_of_an_elastic_gel_is_kept() -> None:
 
 def test_a_sensor_model_or_its_geometry_may_be_given() -> None:
     sensor = Digit()
-    maps = [Touch.from_depth(-press_ball(sensor.geometry) + PRESS_M, kind="indentation", sensor=given, name="a",
-                             T_base_sensor=np.eye(4)) for given in (sensor, sensor.geometry)]  # fmt: skip
+    maps = [
+        Touch.from_depth(
+            -press_ball(sensor.geometry) + PRESS_M, kind="indentation", sensor=given, name="a", T_base_sensor=np.eye(4)
+        )
+        for given in (sensor, sensor.geometry)
+    ]
     np.testing.assert_array_equal(maps[0].contact_shape.depth_m, maps[1].contact_shape.depth_m)
     assert maps[0].name == "a"
     np.testing.assert_array_equal(maps[0].T_base_sensor, np.eye(4))

@@ -256,8 +256,10 @@ def test_a_coating_smooths_as_boussinesq_says():
         # the far part, in which the kernel is that of the surface, is known in closed form
         near = quad(
             lambda r, q=q: (displace(r) - (1 - gel.poisson) / (2 * math.pi * math.hypot(r, z))) * j0(q * r) * r,
-            0, 40 * z, limit=2000,
-        )[0]  # fmt: skip
+            0,
+            40 * z,
+            limit=2000,
+        )[0]
         whole = 2 * math.pi * near + (1 - gel.poisson) * math.exp(-q * z) / q
         surface = compute_compliance(np.array([q]), Gel(1e3, gel.poisson))[0]
         assert whole / surface == pytest.approx(float(compute_smoothing(np.array([q]), gel)[0]), rel=0.02)

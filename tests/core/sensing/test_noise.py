@@ -72,9 +72,16 @@ def test_the_json_description_gives_the_same_noise():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"press_share": (0.0, 1.0)}, {"press_share": (0.5, 1.1)}, {"press_share": (1.0, 0.5)}, {"missing": -1.0},
-     {"smoothing_m": float("nan")}, {"sensor_rad": float("inf")}, {"edge_patch_m": 0.0}],
-)  # fmt: skip
+    [
+        {"press_share": (0.0, 1.0)},
+        {"press_share": (0.5, 1.1)},
+        {"press_share": (1.0, 0.5)},
+        {"missing": -1.0},
+        {"smoothing_m": float("nan")},
+        {"sensor_rad": float("inf")},
+        {"edge_patch_m": 0.0},
+    ],
+)
 def test_impossible_values_are_refused(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
         TouchNoise(**wrong)
@@ -340,9 +347,11 @@ def documented_rows() -> list[str]:
     mm, percent = (lambda v: f"{1e3 * v:g} mm" if v else "0"), (lambda v: f"{100 * v:g} %" if v else "0")
     write = {
         "press_share": lambda v: f"{100 * v[0]:g} to {100 * v[1]:g} %" if v[0] < v[1] else f"{100 * v[0]:g} %",
-        "press_error": percent, "missing": "{:g}".format, "spurious": "{:g}".format,
+        "press_error": percent,
+        "missing": "{:g}".format,
+        "spurious": "{:g}".format,
         "sensor_rad": lambda v: f"{np.degrees(v):.3g}°" if v else "0",
-    }  # fmt: skip
+    }
     used = {  # a patch size has no effect without patches
         "edge_patch_m": lambda level: level.edge_m,
         "drift_patch_m": lambda level: level.drift_m,

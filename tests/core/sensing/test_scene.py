@@ -132,9 +132,11 @@ def test_the_imprint_iou_has_known_values(make_box, make_scene, flat_camera):
 def drawings(camera):
     """Return the block's pressed scene, a pose in contact (1, 4, 4), metres, and the scene drawn as in the paper."""
     problem = press_block(camera)
-    return problem.scene, problem.scene.bring_to_contact(problem.truth[None])[0], dataclasses.replace(
-        problem.scene, drawing="paper"
-    )  # fmt: skip
+    return (
+        problem.scene,
+        problem.scene.bring_to_contact(problem.truth[None])[0],
+        dataclasses.replace(problem.scene, drawing="paper"),
+    )
 
 
 @pytest.mark.parametrize("press_m", [0.002, 0.0012])

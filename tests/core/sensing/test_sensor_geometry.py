@@ -125,11 +125,21 @@ def test_the_mask_is_resized_with_the_image() -> None:
 
 
 CHANGES = {
-    "camera": "orthographic", "width_px": 9, "height_px": 7, "fx": 41.0, "fy": 51.0, "cx": 3.8, "cy": 3.2,
-    "standoff_m": 21 * MM, "max_depth_m": 1 * MM, "rectangle_m": (-1 * MM, 1 * MM, -1 * MM, 1 * MM),
-    "observed": np.eye(6, 8, dtype=bool), "indentation_m": 1 * MM, "relief_m": np.full((6, 8), 1e-4, np.float32),
+    "camera": "orthographic",
+    "width_px": 9,
+    "height_px": 7,
+    "fx": 41.0,
+    "fy": 51.0,
+    "cx": 3.8,
+    "cy": 3.2,
+    "standoff_m": 21 * MM,
+    "max_depth_m": 1 * MM,
+    "rectangle_m": (-1 * MM, 1 * MM, -1 * MM, 1 * MM),
+    "observed": np.eye(6, 8, dtype=bool),
+    "indentation_m": 1 * MM,
+    "relief_m": np.full((6, 8), 1e-4, np.float32),
     "gel": Gel(4 * MM),
-}  # fmt: skip
+}
 
 
 def test_every_field_has_a_change_to_try() -> None:
@@ -178,8 +188,13 @@ def test_the_same_sensor_may_differ_only_in_image_size_and_mask() -> None:
     assert PINHOLE.is_same_sensor(PINHOLE.subsample(2))
     inner = dataclasses.replace(PINHOLE, rectangle_m=(-1e-3, 1e-3, -1e-3, 1e-3))
     assert not inner.is_same_sensor(dataclasses.replace(inner, fx=2 * inner.fx))
-    for change in ({"fx": 1.01 * PINHOLE.fx}, {"cy": PINHOLE.cy + 1}, {"standoff_m": 2 * PINHOLE.standoff_m},
-                   {"max_depth_m": 2 * PINHOLE.max_depth_m}, {"camera": "orthographic"}):  # fmt: skip
+    for change in (
+        {"fx": 1.01 * PINHOLE.fx},
+        {"cy": PINHOLE.cy + 1},
+        {"standoff_m": 2 * PINHOLE.standoff_m},
+        {"max_depth_m": 2 * PINHOLE.max_depth_m},
+        {"camera": "orthographic"},
+    ):
         assert not PINHOLE.is_same_sensor(dataclasses.replace(PINHOLE, **change))
 
 

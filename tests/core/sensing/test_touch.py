@@ -8,7 +8,7 @@ from message_helpers import naming
 
 from tactile_loc.core.runtime.errors import NoContactError, TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth, contact_shape_from_array
+from tactile_loc.core.sensing.touch import ContactShape, Meaning, Touch, compute_contact_depth, contact_shape_from_array
 
 MM = 1e-3
 PINHOLE = SensorGeometry("pinhole", 8, 6, fx=40.0, fy=50.0, cx=3.7, cy=3.1, standoff_m=20 * MM, max_depth_m=2 * MM)
@@ -135,5 +135,5 @@ def test_advice_on_far_too_large_depths_depends_on_who_states_the_unit() -> None
     with pytest.raises(TouchError, match="`touch_unit`"):
         contact_shape_from_array(np.full((6, 8), 3.0), 2 * MM)
     with pytest.raises(TouchError, match="max_depth_mm") as caught:
-        contact_shape_from_array(np.full((6, 8), 3.0), 2 * MM, states_unit=True)
+        contact_shape_from_array(np.full((6, 8), 3.0), 2 * MM, meaning=Meaning(states_unit=True))
     assert "`touch_unit`" not in str(caught.value)

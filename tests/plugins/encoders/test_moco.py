@@ -41,9 +41,12 @@ def few_touches_to_validate_with(monkeypatch):
 def problem(tmp_path_factory):
     """A coarse grid of the pin on a small sensor."""
     localizer = Localizer.create(
-        "pin", store=StageStore(tmp_path_factory.mktemp("store")), sensor="digit", shape_px=32,
+        "pin",
+        store=StageStore(tmp_path_factory.mktemp("store")),
+        sensor="digit",
+        shape_px=32,
         grid={"name": "face", "spacing_mm": 8},
-    )  # fmt: skip
+    )
     model = localizer.model
     return ListedProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
 

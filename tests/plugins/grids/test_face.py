@@ -166,11 +166,21 @@ def test_symmetric_yaws_coincide(pinhole, make_box, make_object):
             assert yaws % order == 0
 
 
-@pytest.mark.parametrize(("symmetry", "normal", "turns"), [
-    ("none", [0, 0, 1], 1), ("z6", [0, 0, 1], 6), ("z6", [0, 0, -1], 6), ("z6", [1, 0, 0], 1), ("z6*x2", [0, 0, 1], 6),
-    ("z6*x2", [1, 0, 0], 2), ("zinf", [0, 0, 1], np.inf), ("zinf", [1, 0, 0], 1), ("zinf*x2", [0.6, 0.8, 0], 2),
-    ("sphere", [0.6, 0, 0.8], np.inf),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("symmetry", "normal", "turns"),
+    [
+        ("none", [0, 0, 1], 1),
+        ("z6", [0, 0, 1], 6),
+        ("z6", [0, 0, -1], 6),
+        ("z6", [1, 0, 0], 1),
+        ("z6*x2", [0, 0, 1], 6),
+        ("z6*x2", [1, 0, 0], 2),
+        ("zinf", [0, 0, 1], np.inf),
+        ("zinf", [1, 0, 0], 1),
+        ("zinf*x2", [0.6, 0.8, 0], 2),
+        ("sphere", [0.6, 0, 0.8], np.inf),
+    ],
+)
 def test_equivalent_rotations_about_a_normal_are_counted(symmetry, normal, turns):
     assert count_turns_alike(SymmetryGroup.parse(symmetry, np.zeros(3)), np.array(normal, float)) == turns
 

@@ -37,7 +37,8 @@ def small_motion(scale: float = 1.0) -> np.ndarray:
 def normal_equations(source: Cloud, observed, along: float = 0.0) -> np.ndarray:
     result, T = np.zeros((1, 6, 7)), np.eye(4)[None]
     starts, which, centre = np.array([0, len(source)]), np.array([0]), source.points_mm.mean(axis=0)[None]
-    kernels.add_equations(0, 1, source.points_mm, source.normals, starts, which, T, centre, observed, along, result)
+    cloud, candidates = (source.points_mm, source.normals, starts), (which, T, centre)
+    kernels.add_equations(0, 1, cloud, candidates, observed, along, result)
     return result[0]
 
 

@@ -41,8 +41,10 @@ MOTION = make_transform(rotation_about([0.2, 0.1, 1.0], 0.05), [0.9, 0.7, 0.1])
 def test_a_known_motion_is_undone():
     found = KissIcpRefiner().register(moved(steps(), MOTION), steps())
     assert found.converged
-    before, left = (np.linalg.norm(transform_points(T, steps().points_mm) - steps().points_mm, axis=1)
-                    for T in (MOTION, found.T_mm @ MOTION))  # fmt: skip
+    before, left = (
+        np.linalg.norm(transform_points(T, steps().points_mm) - steps().points_mm, axis=1)
+        for T in (MOTION, found.T_mm @ MOTION)
+    )
     assert before.mean() > 0.8
     assert left.mean() < 0.35 * before.mean()
 

@@ -20,12 +20,19 @@ EXAMPLE = ROOT / "examples" / "my_sensor.toml"
 MM = 1e-3
 
 PINHOLE = {
-    "camera": '"pinhole"', "image_size_px": "[470, 470]", "fx": "291.5", "fy": "289",
-    "standoff_mm": "25", "max_depth_mm": "2",
-}  # fmt: skip
+    "camera": '"pinhole"',
+    "image_size_px": "[470, 470]",
+    "fx": "291.5",
+    "fy": "289",
+    "standoff_mm": "25",
+    "max_depth_mm": "2",
+}
 ORTHOGRAPHIC = {
-    "camera": '"orthographic"', "image_size_px": "[320, 240]", "mm_per_px": "0.0634", "max_depth_mm": "1.0",
-}  # fmt: skip
+    "camera": '"orthographic"',
+    "image_size_px": "[320, 240]",
+    "mm_per_px": "0.0634",
+    "max_depth_mm": "1.0",
+}
 
 
 def write(folder: Path, values: dict[str, str], **changes: str | None) -> Path:

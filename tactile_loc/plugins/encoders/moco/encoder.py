@@ -185,9 +185,12 @@ class MocoEncoder(Encoder):
     def _make_network(self, seed: int, partly_seen: bool, pretrained: bool = True) -> Backbone:
         recipe = self.recipe
         network = make_backbone(
-            recipe.backbone, generator=torch.Generator().manual_seed(seed), in_channels=recipe.planes(partly_seen),
-            channels=recipe.channels, norm=recipe.norm,
-        )  # fmt: skip
+            recipe.backbone,
+            generator=torch.Generator().manual_seed(seed),
+            in_channels=recipe.planes(partly_seen),
+            channels=recipe.channels,
+            norm=recipe.norm,
+        )
         if pretrained and self.options.pretrained:
             load_pretrained(network, self.options.pretrained)
         return network

@@ -78,9 +78,13 @@ class Recipe:
 
 
 def make_input_planes(
-    depth_m: Float32, press_m: NDArray[np.float64], geometry: SensorGeometry, image_px: int, signal: Signal,
+    depth_m: Float32,
+    press_m: NDArray[np.float64],
+    geometry: SensorGeometry,
+    image_px: int,
+    signal: Signal,
     seen: NDArray[np.bool_] | None = None,
-) -> torch.Tensor:  # fmt: skip
+) -> torch.Tensor:
     """Return the network's input (N, P, h, w), from 0 to 1, averaged to a longer side of `image_px` pixels.
 
     The first plane is the observed contact mask. If the signal is "depth", the penetration follows. If `seen` (N, H, W)
@@ -106,14 +110,38 @@ def make_input_planes(
 PRESETS = {
     # minutes on two CPU cores
     "cpu": Recipe(
-        backbone="small", channels=16, norm="group", signal="depth", image_px=64,
-        epochs=20, queries=3072, repeats=4, batch=256,
-        optimizer="adamw", rate=2e-3, weight_decay=1e-4, momentum=0.98, temperature=0.07, refresh=24,
+        backbone="small",
+        channels=16,
+        norm="group",
+        signal="depth",
+        image_px=64,
+        epochs=20,
+        queries=3072,
+        repeats=4,
+        batch=256,
+        optimizer="adamw",
+        rate=2e-3,
+        weight_decay=1e-4,
+        momentum=0.98,
+        temperature=0.07,
+        refresh=24,
     ),
     # the paper's network and optimiser, for a GPU
     "paper": Recipe(
-        backbone="resnet50", channels=64, norm="batch", signal="binary", image_px=200,
-        epochs=30, queries=20480, repeats=1, batch=128,
-        optimizer="sgd", rate=0.03, weight_decay=1e-4, momentum=0.999, temperature=0.07, refresh=0,
+        backbone="resnet50",
+        channels=64,
+        norm="batch",
+        signal="binary",
+        image_px=200,
+        epochs=30,
+        queries=20480,
+        repeats=1,
+        batch=128,
+        optimizer="sgd",
+        rate=0.03,
+        weight_decay=1e-4,
+        momentum=0.999,
+        temperature=0.07,
+        refresh=0,
     ),
-}  # fmt: skip
+}

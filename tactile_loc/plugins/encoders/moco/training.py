@@ -134,9 +134,14 @@ class Trainer:
     """
 
     def __init__(
-        self, recipe: Recipe, problem: TrainingProblem, network: Backbone, device: torch.device,
-        log_folder: str | None = None, decoys: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        recipe: Recipe,
+        problem: TrainingProblem,
+        network: Backbone,
+        device: torch.device,
+        log_folder: str | None = None,
+        decoys: int = 0,
+    ) -> None:
         """Prepare a training. `decoys` is the number of wrongly rotated views of each touch, for the grid `whole`."""
         self.recipe, self.problem, self.device, self.log_folder = recipe, problem, device, log_folder
         self.crew = Crew(device)

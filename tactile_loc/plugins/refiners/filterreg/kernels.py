@@ -74,12 +74,13 @@ def _expect(x, n, mixture):
 
 
 @njit(fast=True)
-def add_equations(first, last, points, normals, starts, which, T, centres, mixture, along, result):
+def add_equations(first, last, cloud, candidates, mixture, along, result):
     """Add to the normal equations `result` (K, 6, 7) of the candidates `which` (K,) from first to last.
 
     Candidate c has the points from starts[c] to starts[c + 1], moved by T[c] (4, 4). Candidates rotate about `centres`
-    (K, 3).
+    (K, 3). `cloud` has the points, normals and starts, and `candidates` have `which`, T and the centres.
     """
+    (points, normals, starts), (which, T, centres) = cloud, candidates
     for k in range(first, last):
         c = which[k]
         some = slice(starts[c], starts[c + 1])

@@ -153,10 +153,8 @@ class _Moving:
         T, middles = self.T[going], self.middles[going]
         centres = (T[:, :3, :3] @ middles[:, :, None])[:, :, 0] + T[:, :3, 3]
         equations = np.zeros((len(going), 6, 7))
-        run_in_threads(
-            kernels.add_equations, len(going), self.points, self.normals, self.starts, going, self.T, centres, observed,
-            point_weight, equations,
-        )  # fmt: skip
+        cloud, candidates = (self.points, self.normals, self.starts), (going, self.T, centres)
+        run_in_threads(kernels.add_equations, len(going), cloud, candidates, observed, point_weight, equations)
         twists, moved_mm = solve(equations)
         reached = np.isfinite(moved_mm)
         self.iterations[going] += 1

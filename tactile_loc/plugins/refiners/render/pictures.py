@@ -54,9 +54,14 @@ class Pictures:
 
     @classmethod
     def blurred(
-        cls, mesh: TriangleMesh, geometry: SensorGeometry, wanted: ContactShape, width_m: float, in_contact: bool,
+        cls,
+        mesh: TriangleMesh,
+        geometry: SensorGeometry,
+        wanted: ContactShape,
+        width_m: float,
+        in_contact: bool,
         drawing: Drawing = "pressed",
-    ) -> Pictures:  # fmt: skip
+    ) -> Pictures:
         """Return an instance for the contact shape `wanted`, with a Gaussian blur of `width_m` metres."""
         pitch_m = geometry.pixel_pitch_m
         block = min(max(1, int(BLOCK * width_m / pitch_m)), *geometry.shape)
