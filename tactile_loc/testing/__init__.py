@@ -11,7 +11,8 @@
         check(component)
 
 A check takes the component. It raises ContractError if the component breaks the contract; the message states the
-contract and how it was broken. The checks depend on the slot and the declared capabilities.
+contract and how it was broken. All checks are in one list. A component gets those whose slot and tags fit its declared
+capabilities. A package with a kind of its own adds its checks with the decorator `check`.
 
 A property is a check on drawn cases: frames, orders, symmetric copies, image sizes and mirror images. The cases are few
 and always the same. The message names a simple case that fails. Properties need hypothesis:
@@ -28,12 +29,13 @@ from typing import Any
 
 from tactile_loc.slots.component import Component
 from tactile_loc.slots.registry import CommandSpec, registry
-from tactile_loc.testing import commands, contract
-from tactile_loc.testing.contract import Check, ContractError
+from tactile_loc.testing import commands  # noqa: F401 - adds its checks
+from tactile_loc.testing.contract import CHECKS, Check, ContractError, check
 
 __all__ = [
     "Check",
     "ContractError",
+    "check",
     "list_checks",
     "list_properties",
     "parametrize_with_checks",
@@ -47,11 +49,7 @@ def list_checks(component: Component | CommandSpec) -> list[Check]:
     For the spec of a command, return the checks of commands. Raises TypeError if `component` is not a component, for
     instance a class instead of an instance.
     """
-    if isinstance(component, CommandSpec):
-        return commands.checks()
-    of_slot = _find_slot_module(component)
-    common = contract.checks(component.capabilities)
-    return common if of_slot is None else [*common, *of_slot.checks(component.capabilities)]
+    return [check for check in _list_all(component) if not check.is_property]
 
 
 def list_properties(component: Component | CommandSpec) -> list[Check]:
@@ -60,10 +58,7 @@ def list_properties(component: Component | CommandSpec) -> list[Check]:
     A property raises MissingLibraryError if hypothesis is not installed. Raises TypeError if `component` is not a
     component.
     """
-    if isinstance(component, CommandSpec):
-        return []
-    of_slot = _find_slot_module(component)
-    return [] if of_slot is None else list(of_slot.properties(component.capabilities))
+    return [check for check in _list_all(component) if check.is_property]
 
 
 def parametrize_with_checks(components: Iterable[Component | CommandSpec]) -> Any:
@@ -76,15 +71,17 @@ def parametrize_with_properties(components: Iterable[Component]) -> Any:
     return _parametrize(components, list_properties)
 
 
-def _find_slot_module(component: Component) -> Any:
-    """Return the checks' module for the component's kind, or None if the kind is unknown."""
+def _list_all(component: Component | CommandSpec) -> list[Check]:
+    """Import the checks of the component's kind. Return the checks and properties that apply to the component."""
+    if isinstance(component, CommandSpec):
+        return [check for check in CHECKS if check.slot == "command"]
     if not isinstance(component, Component):
         raise TypeError(f"checks need an instance of a component, not {component!r}")
     kinds = registry().kinds
-    if component.slot not in kinds:
-        return None
-    kind = kinds[component.slot]
-    return importlib.import_module(kind.checks if kind else f"tactile_loc.testing.{component.slot}s")
+    if component.slot in kinds:
+        kind = kinds[component.slot]
+        importlib.import_module(kind.checks if kind else f"tactile_loc.testing.{component.slot}s")
+    return [check for check in CHECKS if check.applies_to(component)]
 
 
 def _parametrize(
@@ -93,7 +90,7 @@ def _parametrize(
     import pytest
 
     cases = [
-        pytest.param(component, check, id=f"{getattr(component, 'name', type(component).__name__)}-{check.__name__}")
+        pytest.param(component, check, id=f"{getattr(component, 'name', type(component).__name__)}-{check.name}")
         for component in components
         for check in chosen(component)
     ]

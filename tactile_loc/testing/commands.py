@@ -9,31 +9,28 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from tactile_loc.slots.registry import CommandSpec, Registered, Registry
-from tactile_loc.testing.contract import Check, require
+from tactile_loc.testing.contract import check, require
 
 SHARED = {"--json", "-v", "--verbose", "-q", "--quiet", "-h", "--help"}  # tactile-loc adds these to every command
 HEAVY = ("faiss", "matplotlib", "numba", "open3d", "scipy", "torch", "trimesh")
 PROBE = "import sys, {module}; print(*[name for name in {heavy!r} if name in sys.modules])"
 
 
-def checks() -> list[Check]:
-    """Return the checks of a command, functions of its spec."""
-    return [check_target, check_summary, check_help, check_options_are_described, check_shared_options,
-            check_import_is_light]  # fmt: skip
-
-
+@check("command")
 def check_target(spec: CommandSpec) -> None:
     """The target is a function, or a typer application with commands."""
     functions = list_functions(spec)
     require(functions, f"the application {spec.target} must have commands: functions with @application.command()")
 
 
+@check("command")
 def check_summary(spec: CommandSpec) -> None:
     """The summary is one sentence, as in the list of commands."""
     good = spec.summary[:1].isupper() and spec.summary.endswith(".") and "\n" not in spec.summary
     require(good, f"the summary must be one sentence with a capital and a full stop, not {spec.summary!r}")
 
 
+@check("command")
 def check_help(spec: CommandSpec) -> None:
     """Every function has a docstring, which is its help; that of a single command begins with the summary."""
     for name, function in list_functions(spec).items():
@@ -44,6 +41,7 @@ def check_help(spec: CommandSpec) -> None:
             require(first == spec.summary, f"the docstring must begin with the summary {spec.summary!r}, not {first!r}")
 
 
+@check("command")
 def check_options_are_described(spec: CommandSpec) -> None:
     """Every option and argument has a help text."""
     for name, function in list_functions(spec).items():
@@ -54,6 +52,7 @@ def check_options_are_described(spec: CommandSpec) -> None:
             )
 
 
+@check("command")
 def check_shared_options(spec: CommandSpec) -> None:
     """No option takes a name of the options that tactile-loc adds to every command."""
     for name, function in list_functions(spec).items():
@@ -64,6 +63,7 @@ def check_shared_options(spec: CommandSpec) -> None:
             require(not taken, f"{name} must not declare {', '.join(sorted(taken))}; every command has it already")
 
 
+@check("command")
 def check_import_is_light(spec: CommandSpec) -> None:
     """The module of the target imports no heavy library, so that help and completion are instant."""
     probe = PROBE.format(module=spec.target.partition(":")[0], heavy=HEAVY)

@@ -1,12 +1,13 @@
 """Contract checks for the components of every slot. They test the options and `describe`.
 
-A check is a function of one component that raises ContractError.
+CHECKS is the list of all checks. The modules of the slots add theirs when they are imported.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any, get_args
 
 import numpy as np
@@ -19,7 +20,56 @@ from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.slots.component import Capabilities, Component
 from tactile_loc.slots.registry import registry
 
-Check = Callable[[Any], None]
+PROPERTY = "property"  # the tag of checks on drawn cases
+CHECKS: list[Check] = []
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check of the components of a `slot`, or of all slots if it is empty. `run` raises ContractError.
+
+    A check applies if its `tags` hold. A tag is a capability that the component must declare, or "not " and one that it
+    must not declare. The tag PROPERTY marks checks on drawn cases.
+    """
+
+    name: str
+    slot: str
+    tags: tuple[str, ...]
+    run: Callable[[Any], None]
+
+    def __call__(self, component: Any) -> None:
+        """Raise ContractError if the component breaks the contract."""
+        self.run(component)
+
+    @property
+    def demands(self) -> str:
+        """What the check demands, in one sentence."""
+        return (self.run.__doc__ or "").strip().partition("\n")[0]
+
+    @property
+    def is_property(self) -> bool:
+        """True if the check draws its cases."""
+        return PROPERTY in self.tags
+
+    def applies_to(self, component: Component) -> bool:
+        """Return whether the check is for this component, with its declared capabilities."""
+        if not self.slot:
+            return True
+        declared = component.capabilities
+        if self.slot != component.slot or not isinstance(declared, Capabilities):
+            return False
+        tags = (tag.rpartition(" ") for tag in self.tags if tag != PROPERTY)
+        return all(getattr(declared, capability) is not bool(negated) for negated, _, capability in tags)
+
+
+def check(slot: str = "", *tags: str) -> Callable[[Callable[[Any], None]], Check]:
+    """Return a decorator that makes a function of one component a Check, and adds it to CHECKS."""
+
+    def add(run: Callable[[Any], None]) -> Check:
+        CHECKS.append(Check(run.__name__, slot, tags, run))
+        return CHECKS[-1]
+
+    return add
 
 
 class ContractError(AssertionError):
@@ -66,17 +116,7 @@ class Untouched:
             require(same, f"inputs must not be written to, but {name} was; work on a copy")
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks that apply to every component."""
-    return [
-        check_declaration,
-        check_options_are_strict,
-        check_options_are_described,
-        check_describe_is_json,
-        check_describe_names_every_option,
-    ]
-
-
+@check()
 def check_declaration(component: Component) -> None:
     """The slot is known, the version is a positive integer, and capabilities are declared."""
     known = registry().kinds
@@ -90,6 +130,7 @@ def check_declaration(component: Component) -> None:
     require(isinstance(options, type(component).Options), f"options must be an instance of Options, not {options!r}")
 
 
+@check()
 def check_options_are_strict(component: Component) -> None:
     """Options derive from ComponentOptions, are frozen and refuse unknown names."""
     options = component.options
@@ -99,12 +140,14 @@ def check_options_are_strict(component: Component) -> None:
     require(refuses, 'Options must have extra="forbid": a misspelt option must be an error')
 
 
+@check()
 def check_options_are_described(component: Component) -> None:
     """Every option has a description, which is its help text."""
     for name, field in type(component.options).model_fields.items():
         require(field.description, f"every option needs Field(description=...) with its unit; {name} has none")
 
 
+@check()
 def check_describe_is_json(component: Component) -> None:
     """`describe` returns the same JSON values every time, and these can be written and read without a change."""
     described = component.describe()
@@ -117,6 +160,7 @@ def check_describe_is_json(component: Component) -> None:
     require(twin == described, "describe() must be the same for a second component with the same options")
 
 
+@check()
 def check_describe_names_every_option(component: Component) -> None:
     """Another value of an option gives another description; otherwise the store would return outdated results."""
     for name, changed in _change_options(component.options):

@@ -13,9 +13,8 @@ from tactile_loc.core.places.places import CAMERA as PATCH_CAMERA
 from tactile_loc.core.places.places import PATCH_PX, cut_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import compute_contact_depth
-from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.encoder import Encoder
-from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close, require_equal
+from tactile_loc.testing.contract import Untouched, check, require, require_array, require_close, require_equal
 from tactile_loc.testing.problems import (
     LOPSIDED_CAMERAS,
     ReferenceRenderer,
@@ -33,32 +32,7 @@ LIGHT_M = 0.3 * PRESS_M  # only the block's features touch
 BESIDE_M = (0.0002, 0.0002, 0.0)
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for an encoder of these capabilities. Train the encoder first if it needs training."""
-    chosen: list[Check] = [
-        check_output,
-        check_batch_is_singles,
-        check_shapes_untouched,
-        check_distances_order_poses,
-        check_press_depth_marks_no_contact,
-        check_light_press_finds_its_pose,
-        check_image_size,
-        check_patches,
-        check_ignores_masked_pixels,
-        check_unseen_pixels,
-        check_seen_output,
-        check_seen_part_finds_its_pose,
-    ]
-    if capabilities.deterministic:
-        chosen.append(check_deterministic)
-    return [*chosen, check_learns_places] if capabilities.needs_training else chosen
-
-
-def properties(capabilities: Capabilities) -> list[Check]:
-    """Return the properties of an encoder of these capabilities: see `tactile_loc.testing.properties`."""
-    return [property_shape_order, property_image_size, property_mirror_image]
-
-
+@check("encoder")
 def check_output(encoder: Encoder) -> None:
     """`encode` returns finite (N, D) float32 with the same D for any N, also for a shape without contact."""
     shapes = _draw_shapes()
@@ -74,6 +48,7 @@ def check_output(encoder: Encoder) -> None:
     require(np.isfinite(vectors).all(), "embeddings must be finite")
 
 
+@check("encoder")
 def check_batch_is_singles(encoder: Encoder) -> None:
     """Shapes that are encoded together get the same embeddings as one by one."""
     shapes = _draw_shapes()
@@ -82,6 +57,7 @@ def check_batch_is_singles(encoder: Encoder) -> None:
     _require_alike(together, singly, together, "a batch must be encoded as its shapes one by one")
 
 
+@check("encoder")
 def check_shapes_untouched(encoder: Encoder) -> None:
     """The contact shapes are not changed."""
     shapes = _draw_shapes()
@@ -90,6 +66,7 @@ def check_shapes_untouched(encoder: Encoder) -> None:
     before.require()
 
 
+@check("encoder")
 def check_distances_order_poses(encoder: Encoder) -> None:
     """A shape is nearest to itself, and a shape 0.5 mm away is nearer than clearly different poses."""
     poses = make_contact_poses(make_block_scene())
@@ -99,6 +76,7 @@ def check_distances_order_poses(encoder: Encoder) -> None:
     _require_found(encoder.encode(moved, PRESS_M, CAMERA), bank, "a shape 0.5 mm away must be nearer than other poses")
 
 
+@check("encoder")
 def check_press_depth_marks_no_contact(encoder: Encoder) -> None:
     """A pixel at the press depth is not in contact, so a flat imprint looks the same at any press depth."""
     imprint = np.stack([s < PRESS_M for s in _draw_shapes()])
@@ -111,6 +89,7 @@ def check_press_depth_marks_no_contact(encoder: Encoder) -> None:
     )
 
 
+@check("encoder")
 def check_light_press_finds_its_pose(encoder: Encoder) -> None:
     """A light press finds its pose in the bank.
 
@@ -123,6 +102,7 @@ def check_light_press_finds_its_pose(encoder: Encoder) -> None:
     _require_found(queries, bank, "a light press must be nearest to its own pose")
 
 
+@check("encoder")
 def check_image_size(encoder: Encoder) -> None:
     """Shapes in another image size of the same sensor have embeddings of the same length, and find their poses."""
     fine = CAMERA.resize(2 * CAMERA.width_px, 2 * CAMERA.height_px)
@@ -133,6 +113,7 @@ def check_image_size(encoder: Encoder) -> None:
     _require_found(queries, bank, "an image of twice the size must find its pose in the bank")
 
 
+@check("encoder")
 def check_patches(encoder: Encoder) -> None:
     """`encode_patches` gives the embeddings that `encode` gives for the contact depths of places' patches."""
     patches = np.random.default_rng(0).integers(0, 256, (6, PATCH_PX, PATCH_PX)).astype(np.uint8)
@@ -143,6 +124,7 @@ def check_patches(encoder: Encoder) -> None:
         require_close(found, expected, 1e-4 * _spread(expected), "encode_patches must agree with encode")
 
 
+@check("encoder")
 def check_ignores_masked_pixels(encoder: Encoder) -> None:
     """Unobserved pixels change nothing."""
     observed = np.ones(CAMERA.shape, bool)
@@ -154,6 +136,7 @@ def check_ignores_masked_pixels(encoder: Encoder) -> None:
     require_close(a, b, 1e-4 * _spread(a), "pixels outside geometry.observed_mask must change nothing")
 
 
+@check("encoder")
 def check_unseen_pixels(encoder: Encoder) -> None:
     """Unseen pixels change nothing, and fully seen shapes have the embeddings of `encode` and weights of one."""
     shapes = _draw_shapes()
@@ -163,6 +146,7 @@ def check_unseen_pixels(encoder: Encoder) -> None:
     require_close(ones, twos, 1e-6, "weights must depend on the seen pixels only")
 
 
+@check("encoder")
 def check_seen_output(encoder: Encoder) -> None:
     """`encode_seen` returns embeddings and weights of the same shape, weights from 0 to 1, and changes no input."""
     shapes = _draw_shapes()
@@ -179,6 +163,7 @@ def check_seen_output(encoder: Encoder) -> None:
         require((answer[1] >= 0).all() and (answer[1] <= 1).all(), "weights must be from 0 (unknown) to 1 (known)")
 
 
+@check("encoder")
 def check_seen_part_finds_its_pose(encoder: Encoder) -> None:
     """A partly seen shape, such as a touch at the sensor's edge, has its best weighted score at its own pose."""
     shapes = _draw_shapes()
@@ -188,12 +173,14 @@ def check_seen_part_finds_its_pose(encoder: Encoder) -> None:
     _require_order(found, "a partly seen shape must find its own pose")
 
 
+@check("encoder", "deterministic")
 def check_deterministic(encoder: Encoder) -> None:
     """The same shapes have exactly the same embeddings."""
     first, again = (encoder.encode(_draw_shapes(), PRESS_M, CAMERA) for _ in range(2))
     require_equal(first, again, "the same shapes must have the same embeddings")
 
 
+@check("encoder", "needs_training")
 def check_learns_places(encoder: Encoder) -> None:
     """An encoder that was trained on the places of a whole object embeds partly seen places."""
     problem, learner = make_place_training_problem(), type(encoder)(encoder.options)  # the given encoder is unchanged
@@ -204,6 +191,7 @@ def check_learns_places(encoder: Encoder) -> None:
     _require_unseen_ignored(learner, keys, _mask_left(keys, 2), 0.5 * press_m, press_m, problem.geometry)
 
 
+@check("encoder", "property")
 def property_shape_order(encoder: Encoder) -> None:
     """If shapes are reordered, embeddings are reordered in the same way, to a thousandth of their spread."""
     shapes = _draw_shapes()
@@ -216,6 +204,7 @@ def property_shape_order(encoder: Encoder) -> None:
     hold(claim, order=orders(len(shapes)))
 
 
+@check("encoder", "property")
 def property_image_size(encoder: Encoder) -> None:
     """An image of two or three times the size, at any position, finds its pose in a bank of the usual image size."""
 
@@ -229,6 +218,7 @@ def property_image_size(encoder: Encoder) -> None:
     hold(claim, examples=3, times=one_of([2, 3]), place=places(most_tenths_mm=15))
 
 
+@check("encoder", "property")
 def property_mirror_image(encoder: Encoder) -> None:
     """A light touch is nearer to a touch of the same part, 0.3 mm away, than to its mirror image at the same pose.
 

@@ -14,9 +14,8 @@ from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior, require_
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.fuser import Fuser
-from tactile_loc.testing.contract import Check, Untouched, require, require_close, require_equal
+from tactile_loc.testing.contract import Untouched, check, require, require_close, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,
     ReferenceRenderer,
@@ -32,28 +31,7 @@ T_BASE_FIRST = make_transform(rotation_about([1, 2, 3], 0.4), [0.3, -0.1, 0.2])
 T_BASE_SECOND = make_transform(rotation_about([0, 0, 1], 1.1), [0.3, -0.09, 0.21])
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a fuser of these capabilities. A fuser may refuse several touches."""
-    chosen: list[Check] = [
-        check_flat_prior,
-        check_prior_multiplies,
-        check_certain_prior,
-        check_impossible_prior,
-        check_order,
-        check_no_contact_is_dropped,
-        check_no_common_pose,
-        check_base_frame,
-        check_posteriors_untouched,
-    ]
-    chosen += [check_contact_alone] if capabilities.contact_only else [check_one_touch, check_sensor_poses]
-    return [*chosen, check_deterministic] if capabilities.deterministic else chosen
-
-
-def properties(capabilities: Capabilities) -> list[Check]:
-    """Return the properties of a fuser of these capabilities: see `tactile_loc.testing.properties`."""
-    return [property_object_frame, property_base_frame, property_touch_order, property_symmetric_copies]
-
-
+@check("fuser", "contact_only")
 def check_contact_alone(fuser: Fuser) -> None:
     """A fuser that uses only contact makes all poses of one touch's grid equally probable."""
     posterior = _draw_posterior(make_small_grid())
@@ -62,6 +40,7 @@ def check_contact_alone(fuser: Fuser) -> None:
     _require_equal(fused, uniform, "with contact_only=True, the poses of one touch must be equally probable")
 
 
+@check("fuser", "not contact_only")
 def check_one_touch(fuser: Fuser) -> None:
     """The posterior of one touch without a prior does not change: it is normalised, over the same grid."""
     posterior = _draw_posterior(make_small_grid())
@@ -73,6 +52,7 @@ def check_one_touch(fuser: Fuser) -> None:
     _require_equal(fused, posterior.probabilities, "one touch without a prior must be unchanged")
 
 
+@check("fuser")
 def check_flat_prior(fuser: Fuser) -> None:
     """A prior with the same weight for all poses changes nothing."""
     posterior = _draw_posterior(make_small_grid())
@@ -80,6 +60,7 @@ def check_flat_prior(fuser: Fuser) -> None:
     _require_equal(fused, _fuse_one(fuser, posterior).probabilities, "a flat prior must change nothing")
 
 
+@check("fuser")
 def check_prior_multiplies(fuser: Fuser) -> None:
     """The log-weights that a prior gives for poses (N, 4, 4) are added once."""
     posterior = _draw_posterior(make_small_grid())
@@ -93,6 +74,7 @@ def check_prior_multiplies(fuser: Fuser) -> None:
     _require_equal(fused, expected, "a prior's log-weights must be added once to the log-probabilities")
 
 
+@check("fuser")
 def check_certain_prior(fuser: Fuser) -> None:
     """A prior that allows only one pose makes this pose certain."""
     posterior = _draw_posterior(make_small_grid())
@@ -100,6 +82,7 @@ def check_certain_prior(fuser: Fuser) -> None:
     _require_equal(fused, np.arange(len(posterior.grid)) == 7, "the only pose that the prior allows must be certain")
 
 
+@check("fuser")
 def check_impossible_prior(fuser: Fuser) -> None:
     """A prior that allows no pose leaves none: `fuse` returns `NoPoseLeft`."""
     posterior = _draw_posterior(make_small_grid())
@@ -107,6 +90,7 @@ def check_impossible_prior(fuser: Fuser) -> None:
     require(isinstance(fused, NoPoseLeft), "with a prior that allows no pose, fuse must return NoPoseLeft")
 
 
+@check("fuser")
 def check_order(fuser: Fuser) -> None:
     """Two touches at the same sensor pose give the same posterior in either order."""
     grid = make_small_grid()
@@ -115,6 +99,7 @@ def check_order(fuser: Fuser) -> None:
     _require_both(one, other, "the order of touches must not matter")
 
 
+@check("fuser", "not contact_only")
 def check_sensor_poses(fuser: Fuser) -> None:
     """Touches are compared in the base frame, so a touch at another sensor pose can resolve an ambiguity."""
     here, there = make_small_grid(), _move_to_second(make_small_grid())
@@ -126,6 +111,7 @@ def check_sensor_poses(fuser: Fuser) -> None:
         require(p[11] > 10 * p[3], "touches must be compared by T_base_sensor @ T_sensor_object, pose by pose")
 
 
+@check("fuser")
 def check_no_contact_is_dropped(fuser: Fuser) -> None:
     """A pose that is not near any pose of another sensor's grid has no contact with that sensor and is excluded."""
     here = make_small_grid()
@@ -139,6 +125,7 @@ def check_no_contact_is_dropped(fuser: Fuser) -> None:
         require(bool((p[side] > 0).all()), "poses in every sensor's grid must keep a positive probability")
 
 
+@check("fuser")
 def check_no_common_pose(fuser: Fuser) -> None:
     """Sensors without a common pose leave none: `fuse` returns `NoPoseLeft`. A fuser may refuse several touches."""
     grid = make_small_grid()
@@ -150,11 +137,13 @@ def check_no_common_pose(fuser: Fuser) -> None:
     require(isinstance(fused, NoPoseLeft), "with sensors metres apart, fuse must return NoPoseLeft")
 
 
+@check("fuser")
 def check_base_frame(fuser: Fuser) -> None:
     """The base frame does not matter, only the sensors' poses relative to each other."""
     _require_any_base(fuser, make_transform(rotation_about([3, -1, 2], 2.0), [-0.2, 0.5, 0.1]))
 
 
+@check("fuser")
 def check_posteriors_untouched(fuser: Fuser) -> None:
     """The posteriors and the grids are not changed."""
     posterior = _draw_posterior(make_small_grid())
@@ -163,6 +152,7 @@ def check_posteriors_untouched(fuser: Fuser) -> None:
     before.require()
 
 
+@check("fuser", "deterministic")
 def check_deterministic(fuser: Fuser) -> None:
     """The same posteriors and prior give the same posterior."""
     prior: Prior = lambda poses: 100 * poses[:, 0, 3]  # noqa: E731
@@ -170,6 +160,7 @@ def check_deterministic(fuser: Fuser) -> None:
     require_equal(first.log_p, again.log_p, "the same posteriors must give the same answer")
 
 
+@check("fuser", "property")
 def property_object_frame(fuser: Fuser) -> None:
     """An object moved by X in its own frame, with poses T @ inv(X), has the same probabilities, to TOLERANCE."""
     here = make_small_grid()
@@ -185,11 +176,13 @@ def property_object_frame(fuser: Fuser) -> None:
     hold(claim, motion=motions())
 
 
+@check("fuser", "property")
 def property_base_frame(fuser: Fuser) -> None:
     """If all sensors move together in the base frame, the probabilities stay the same, to TOLERANCE."""
     hold(lambda motion: _require_any_base(fuser, motion.T), motion=motions(most_mm=900))
 
 
+@check("fuser", "property")
 def property_touch_order(fuser: Fuser) -> None:
     """If touches are reordered, each pose keeps its probability, to TOLERANCE.
 
@@ -207,6 +200,7 @@ def property_touch_order(fuser: Fuser) -> None:
     hold(claim, order=orders(3), second=motions(), third=motions())
 
 
+@check("fuser", "property")
 def property_symmetric_copies(fuser: Fuser) -> None:
     """A grid may have any copy T @ S of a pose T, where S is a symmetry of the part.
 

@@ -14,9 +14,8 @@ from tactile_loc.core.poses.metric import PoseGrid, PoseMetric, measure_distance
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.touch import compute_contact_depth
-from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.grid import GridSampler
-from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close, require_equal
+from tactile_loc.testing.contract import Untouched, check, require, require_array, require_close, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,
     ReferenceRenderer,
@@ -42,43 +41,7 @@ LEAST_PLACES, MOST_PLACES = 0.75, 2.0  # times the expected number; directions o
 LEAST_TOUCHING = 0.3  # least share of the poses; bounding boxes overlap more often than objects touch
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a grid of these capabilities."""
-    if capabilities.places:
-        return [
-            check_poses_are_rigid,
-            check_poses_reach_contact,
-            check_random_follows_the_seed,
-            check_random_poses_differ,
-            check_object_untouched,
-            check_places_are_as_drawn,
-            check_places_are_in_random_poses,
-        ]
-    chosen: list[Check] = [
-        check_poses_are_rigid,
-        check_spacing,
-        check_denser_grid_has_more_poses,
-        check_poses_reach_contact,
-        check_covers_random_poses,
-        check_random_is_uniform_over_the_grid,
-        check_random_follows_the_seed,
-        check_random_poses_differ,
-        check_object_untouched,
-        check_scale,
-    ]
-    return [*chosen, check_deterministic] if capabilities.deterministic else chosen
-
-
-def properties(capabilities: Capabilities) -> list[Check]:
-    """Return the properties of a grid of these capabilities: see `tactile_loc.testing.properties`."""
-    chosen: list[Check] = [property_symmetric_copies, property_scale]
-    if capabilities.places:
-        chosen = [property_symmetric_places]
-    if capabilities.deterministic:
-        chosen.append(property_place_origin if capabilities.places else property_object_origin)
-    return chosen
-
-
+@check("grid")
 def check_poses_are_rigid(sampler: GridSampler) -> None:
     """`sample` and `random` return (N, 4, 4) float64 transforms with proper rotations and finite metres."""
     for what, poses in _list_kinds(sampler, 20):
@@ -88,6 +51,7 @@ def check_poses_are_rigid(sampler: GridSampler) -> None:
     require(len(_draw_random(sampler, 20)) == 20, "random must return the requested number of poses")
 
 
+@check("grid", "not places")
 def check_spacing(sampler: GridSampler) -> None:
     """Neighbouring poses of the sample, brought to contact, have about the requested distance.
 
@@ -98,12 +62,14 @@ def check_spacing(sampler: GridSampler) -> None:
     require(right, f"the mean spacing must be about {SPACING_M * 1e3:g} mm, not {spacing_m * 1e3:.2g} mm")
 
 
+@check("grid", "not places")
 def check_denser_grid_has_more_poses(sampler: GridSampler) -> None:
     """Half the spacing gives at least twice as many poses, even along a line."""
     coarse, fine = (len(_sample(sampler, k * SPACING_M)) for k in (1.0, 0.5))
     require(fine >= 2 * coarse, f"half the spacing must give at least twice the {coarse} poses, not {fine}")
 
 
+@check("grid")
 def check_poses_reach_contact(sampler: GridSampler) -> None:
     """Enough of the poses touch the sensing rectangle after a move along z only."""
     for what, poses in _list_kinds(sampler, 200):
@@ -111,6 +77,7 @@ def check_poses_reach_contact(sampler: GridSampler) -> None:
         require(share >= LEAST_TOUCHING, f"only {100 * share:.0f} % of the poses of {what} can touch the sensor")
 
 
+@check("grid", "not places")
 def check_covers_random_poses(sampler: GridSampler) -> None:
     """The grid covers the poses that `random` draws: each drawn pose is near a grid pose."""
     grid = _bring_to_contact(_sample(sampler))
@@ -124,6 +91,7 @@ def check_covers_random_poses(sampler: GridSampler) -> None:
     )
 
 
+@check("grid", "not places")
 def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
     """`random` draws a rod's poses uniformly: for yaws at which the rod is wide, it draws the grid's share of poses."""
     obj = make_rod()
@@ -142,12 +110,14 @@ def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
     )
 
 
+@check("grid")
 def check_random_follows_the_seed(sampler: GridSampler) -> None:
     """A generator with the same seed draws the same poses, because all randomness comes from the generator."""
     same = np.array_equal(_draw_random(sampler, 20), _draw_random(sampler, 20))
     require(same, "random must draw from the given generator only")
 
 
+@check("grid")
 def check_random_poses_differ(sampler: GridSampler) -> None:
     """Drawn poses differ from each other and from the poses of another seed."""
     poses = _draw_random(sampler, 20)
@@ -157,6 +127,7 @@ def check_random_poses_differ(sampler: GridSampler) -> None:
     require(not same, "random must draw other poses for another seed")
 
 
+@check("grid")
 def check_object_untouched(sampler: GridSampler) -> None:
     """The object's mesh is not changed."""
     mesh = copy_mesh(make_block().mesh)
@@ -170,16 +141,19 @@ def check_object_untouched(sampler: GridSampler) -> None:
     before.require()
 
 
+@check("grid", "not places")
 def check_scale(sampler: GridSampler) -> None:
     """Twice the object, sensor and spacing gives as many poses, because no length is built in."""
     _require_any_scale(sampler, 2.0)
 
 
+@check("grid", "not places", "deterministic")
 def check_deterministic(sampler: GridSampler) -> None:
     """The same object, sensor and spacing give the same poses in the same order."""
     require_equal(_sample(sampler), _sample(sampler), "the same request must give the same poses")
 
 
+@check("grid", "places")
 def check_places_are_as_drawn(sampler: GridSampler) -> None:
     """A place's patch is a parallel projection of the object around the place, in the frame of the place."""
     places = sampler.places(make_block(), Progress())
@@ -197,6 +171,7 @@ def check_places_are_as_drawn(sampler: GridSampler) -> None:
     require(off_m[:, middle, middle].max() < ROUNDED_M, "a place must have the depth of its patch's middle")
 
 
+@check("grid", "places")
 def check_places_are_in_random_poses(sampler: GridSampler) -> None:
     """The first point of contact of a drawn pose is near a place that is seen from nearly the same direction."""
     obj = make_block()
@@ -215,6 +190,7 @@ def check_places_are_in_random_poses(sampler: GridSampler) -> None:
     )
 
 
+@check("grid", "property", "not places", "deterministic")
 def property_object_origin(sampler: GridSampler) -> None:
     """If the mesh is shifted by x in its own frame, its poses in contact are T @ inv(x), to 10 nm.
 
@@ -231,6 +207,7 @@ def property_object_origin(sampler: GridSampler) -> None:
     hold(claim, shift_mm=shifts())
 
 
+@check("grid", "property", "not places")
 def property_symmetric_copies(sampler: GridSampler) -> None:
     """Two touching poses of a symmetric part either coincide up to symmetry, or are clearly apart.
 
@@ -253,11 +230,13 @@ def property_symmetric_copies(sampler: GridSampler) -> None:
     hold(claim, symmetry=one_of(SUBGROUPS), spacing_tenths_mm=whole(60, 90))
 
 
+@check("grid", "property", "not places")
 def property_scale(sampler: GridSampler) -> None:
     """The number of poses stays the same, to 5 %, if object, sensor and spacing are scaled by 0.5 to 3."""
     hold(lambda percent: _require_any_scale(sampler, percent / 100), percent=whole(50, 300))
 
 
+@check("grid", "property", "places", "deterministic")
 def property_place_origin(sampler: GridSampler) -> None:
     """If the mesh is shifted by x in its own frame, its places are T @ inv(x), to 10 nm, with the same patches."""
     plain = sampler.places(make_block(), Progress())
@@ -272,6 +251,7 @@ def property_place_origin(sampler: GridSampler) -> None:
     hold(claim, examples=2, shift_mm=shifts())
 
 
+@check("grid", "property", "places")
 def property_symmetric_places(sampler: GridSampler) -> None:
     """If n rotations are declared, the number of places is divided by n, times LEAST_PLACES to MOST_PLACES."""
     count = len(sampler.places(_declare_symmetry("none"), Progress()))

@@ -6,13 +6,12 @@ import numpy as np
 
 from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.interface import WEIGHTS_CHANGE, takes_weights
 from tactile_loc.slots.matcher import Matcher
 from tactile_loc.testing.contract import (
-    Check,
     ContractError,
     Untouched,
+    check,
     require,
     require_array,
     require_close,
@@ -25,35 +24,7 @@ FEWER_ROWS = 300  # rows of the bank for properties, which build an index for ea
 TOLERANCE = 1e-4  # allowed error of scores, for squared lengths near one
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a matcher of these capabilities."""
-    chosen: list[Check] = [
-        check_output,
-        check_definition,
-        check_best_row_is_found,
-        check_row_order,
-        check_query_order,
-        check_index_replaces,
-        check_single_row,
-        check_bank_and_queries_untouched,
-    ]
-    if capabilities.weights:
-        chosen.append(check_weights)
-    return [*chosen, check_deterministic] if capabilities.deterministic else chosen
-
-
-def properties(capabilities: Capabilities) -> list[Check]:
-    """Return the properties of a matcher of these capabilities: see `tactile_loc.testing.properties`."""
-    chosen: list[Check] = [
-        property_row_order,
-        property_query_order,
-        property_equal_rows,
-        property_turned_space,
-        property_scale,
-    ]
-    return [*chosen, property_unknown_numbers] if capabilities.weights else chosen
-
-
+@check("matcher")
 def check_output(matcher: Matcher) -> None:
     """`scores` returns (M, N) float32 without NaN, and all finite unless the matcher declares top_k_only."""
     scores = _score(matcher, _draw_bank(), _draw_queries())
@@ -65,12 +36,14 @@ def check_output(matcher: Matcher) -> None:
         require(np.isfinite(scores).all(), "every row must have a finite score; otherwise declare top_k_only=True")
 
 
+@check("matcher")
 def check_definition(matcher: Matcher) -> None:
     """A score is -1/2 ||query - row||^2, on which the posterior's temperature relies."""
     scores = _score(matcher, _draw_bank(), _draw_queries())
     _require_alike(scores, _compute_truth(_draw_bank(), _draw_queries()), "a score must be -1/2 ||query - row||^2")
 
 
+@check("matcher")
 def check_best_row_is_found(matcher: Matcher) -> None:
     """The most similar row has the highest score, also if the matcher compares only some rows."""
     found = _score(matcher, _draw_bank(), _draw_queries()).argmax(axis=1)
@@ -78,6 +51,7 @@ def check_best_row_is_found(matcher: Matcher) -> None:
     require((found == truth).all(), f"rows {truth.tolist()} must have the highest scores, not {found.tolist()}")
 
 
+@check("matcher")
 def check_row_order(matcher: Matcher) -> None:
     """Column i of the scores belongs to row i of the bank, in any order of the rows."""
     order = np.random.default_rng(3).permutation(ROWS)
@@ -85,6 +59,7 @@ def check_row_order(matcher: Matcher) -> None:
     _require_alike(shuffled, plain[:, order], "scores must be in the bank's order")
 
 
+@check("matcher")
 def check_query_order(matcher: Matcher) -> None:
     """Row j of the scores belongs to query j, and a query's scores do not depend on the other queries."""
     together = _score(matcher, _draw_bank(), _draw_queries())
@@ -94,6 +69,7 @@ def check_query_order(matcher: Matcher) -> None:
     _require_alike(together, singly, sentence)
 
 
+@check("matcher")
 def check_index_replaces(matcher: Matcher) -> None:
     """A second call of `index` replaces the bank of the first call."""
     matcher.index(_draw_bank(seed=7))
@@ -104,6 +80,7 @@ def check_index_replaces(matcher: Matcher) -> None:
     _require_alike(again, _compute_truth(_draw_bank()[:50], _draw_queries()), "a new bank must replace the old one")
 
 
+@check("matcher")
 def check_single_row(matcher: Matcher) -> None:
     """A bank of one row works, and the row's score with itself is zero."""
     row = _draw_bank()[:1]
@@ -112,6 +89,7 @@ def check_single_row(matcher: Matcher) -> None:
     require_close(scores, [[0.0]], TOLERANCE, "a row's score with itself must be zero")
 
 
+@check("matcher", "weights")
 def check_weights(matcher: Matcher) -> None:
     """A weighted score is -1/2 sum w (query - row)^2. The best row is found, and weights of one change nothing."""
     require(takes_weights(matcher), f"scores takes no weights; {WEIGHTS_CHANGE}, or declare weights=False")
@@ -129,6 +107,7 @@ def check_weights(matcher: Matcher) -> None:
     require((best == right).all(), sentence)
 
 
+@check("matcher")
 def check_bank_and_queries_untouched(matcher: Matcher) -> None:
     """Neither the bank nor the queries are written to."""
     bank, queries = _draw_bank(), _draw_queries()
@@ -137,12 +116,14 @@ def check_bank_and_queries_untouched(matcher: Matcher) -> None:
     before.require()
 
 
+@check("matcher", "deterministic")
 def check_deterministic(matcher: Matcher) -> None:
     """The same bank and queries give the same scores, even if the index is built again."""
     first, again = (_score(matcher, _draw_bank(), _draw_queries()) for _ in range(2))
     require_equal(first, again, "the same bank and queries must give the same scores")
 
 
+@check("matcher", "property")
 def property_row_order(matcher: Matcher) -> None:
     """If the rows of the bank are reordered, the scores are reordered in the same way, for rows compared both times."""
     plain = _score(matcher, _make_dense(), _draw_queries())
@@ -155,6 +136,7 @@ def property_row_order(matcher: Matcher) -> None:
     hold(claim, seed=whole(0, 999))
 
 
+@check("matcher", "property")
 def property_query_order(matcher: Matcher) -> None:
     """If the queries are reordered, the scores are reordered in the same way, except for rounding."""
     plain = _score(matcher, _make_dense(), _draw_queries())
@@ -165,6 +147,7 @@ def property_query_order(matcher: Matcher) -> None:
     hold(claim, order=orders(QUERIES))
 
 
+@check("matcher", "property")
 def property_equal_rows(matcher: Matcher) -> None:
     """Equal rows, such as those of symmetric poses, have equal scores, except for rounding."""
 
@@ -178,6 +161,7 @@ def property_equal_rows(matcher: Matcher) -> None:
     hold(claim, row=whole(0, half - 1), twin=whole(half, FEWER_ROWS - 1))
 
 
+@check("matcher", "property")
 def property_turned_space(matcher: Matcher) -> None:
     """If the bank and the queries are rotated together, the scores stay the same, except for rounding."""
     plain = _score(matcher, _make_dense(), _draw_queries())
@@ -190,6 +174,7 @@ def property_turned_space(matcher: Matcher) -> None:
     hold(claim, seed=whole(0, 999))
 
 
+@check("matcher", "property")
 def property_scale(matcher: Matcher) -> None:
     """If the bank and the queries are 2**k times as large, scores are 4**k times as large, except for rounding."""
     plain = _score(matcher, _make_dense(), _draw_queries())
@@ -202,6 +187,7 @@ def property_scale(matcher: Matcher) -> None:
     hold(claim, k=signed(6).filter(bool))
 
 
+@check("matcher", "property", "weights")
 def property_unknown_numbers(matcher: Matcher) -> None:
     """A query's numbers with weight zero may be wrong: they change no score, except for rounding."""
     weights = _draw_weights()

@@ -11,9 +11,8 @@ from tactile_loc.core.geometry.rigid import Poses, invert, is_rigid, make_transf
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.refiner import Refiner
-from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_array, require_equal
+from tactile_loc.testing.contract import ContractError, Untouched, check, require, require_array, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,
     OFFSETS,
@@ -36,39 +35,14 @@ OTHER_FRAME = make_transform(rotation_about((1.0, 2.0, 0.5), 1.1), (0.3, -0.2, 0
 LEAST_CHIRAL = 0.05  # least difference of imprint IoU between a part and its mirror image; 0.09 for the block
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a refiner of these capabilities."""
-    chosen: list[Check] = [
-        check_output,
-        check_truth_stays,
-        check_touch_and_candidate_untouched,
-        check_quarter_turn,
-        check_scale,
-        check_object_frame,
-        check_ignores_masked_pixels,
-        check_nearly_empty_contact,
-        check_degenerate_contact,
-        check_candidate_without_contact,
-        check_many_are_one_by_one,
-    ]
-    if capabilities.deterministic:
-        chosen.append(check_deterministic)
-    if capabilities.refines:
-        chosen += [check_failure_is_said, check_offsets_shrink, check_offsets_shrink_after_a_light_press]
-    return chosen
-
-
-def properties(capabilities: Capabilities) -> list[Check]:
-    """Return the properties of a refiner of these capabilities: see `tactile_loc.testing.properties`."""
-    return [property_object_frame, property_symmetric_copies, property_mirrored_part]
-
-
+@check("refiner")
 def check_output(refiner: Refiner) -> None:
     """`refine` returns a RefinedPose: a rigid float64 pose, contact_iou from 0 to 1, a bool and an integer."""
     for problem, offset in product(_list_problems(), OFFSETS):
         _require_sound(_refine(refiner, problem, offset))
 
 
+@check("refiner")
 def check_truth_stays(refiner: Refiner) -> None:
     """A candidate at the true pose stays at this pose."""
     for problem in _list_problems():
@@ -76,6 +50,7 @@ def check_truth_stays(refiner: Refiner) -> None:
         require(error_px <= TOLERANCE_PX, f"the true pose must stay; it moved by {error_px:.2g} pixels")
 
 
+@check("refiner")
 def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
     """The touch, the candidate and the mesh are not changed, and the result has its own memory."""
     problem = press_block()
@@ -93,6 +68,7 @@ def check_touch_and_candidate_untouched(refiner: Refiner) -> None:
     require(not shared, "the refined pose must not be the candidate's own array; return a copy")
 
 
+@check("refiner")
 def check_quarter_turn(refiner: Refiner) -> None:
     """If the touch and the candidate are rotated on the sensor by a quarter turn, the answer is rotated too."""
     turn = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3))
@@ -107,6 +83,7 @@ def check_quarter_turn(refiner: Refiner) -> None:
             _require_same(turn @ plain.T_sensor_object, other, problem, sentence)
 
 
+@check("refiner")
 def check_scale(refiner: Refiner) -> None:
     """Twice the object on twice the sensor gives twice the translation, because no length is built in."""
     for camera in CAMERAS:
@@ -117,12 +94,14 @@ def check_scale(refiner: Refiner) -> None:
             _require_same(shrunk, _refine(refiner, small, (x, y, yaw)), small, "the answer must scale with the problem")
 
 
+@check("refiner")
 def check_object_frame(refiner: Refiner) -> None:
     """The mesh and the candidate in another object frame give the same answer."""
     for problem, offset in product(_list_problems(), OFFSETS):
         _require_any_frame(refiner, problem, offset, OTHER_FRAME)
 
 
+@check("refiner")
 def check_ignores_masked_pixels(refiner: Refiner) -> None:
     """Unobserved pixels change nothing."""
     problem = press_block()
@@ -137,6 +116,7 @@ def check_ignores_masked_pixels(refiner: Refiner) -> None:
     _require_same(answers[0].T_sensor_object, answers[1], problem, sentence, 1e-3)
 
 
+@check("refiner")
 def check_nearly_empty_contact(refiner: Refiner) -> None:
     """A contact of one to a few pixels gives a sound result, never an exception."""
     problem = press_block()
@@ -147,6 +127,7 @@ def check_nearly_empty_contact(refiner: Refiner) -> None:
         _require_sound(_survives(refiner, sparse, sparse.make_candidate(), f"a contact of {len(pixels)} pixels"))
 
 
+@check("refiner")
 def check_degenerate_contact(refiner: Refiner) -> None:
     """A contact that determines few directions (a line, a plane, single pixels) gives a sound result."""
     problem = press_block()
@@ -166,6 +147,7 @@ def check_degenerate_contact(refiner: Refiner) -> None:
         _require_sound(_survives(refiner, flat, flat.make_candidate(), f"a contact of {what}"))
 
 
+@check("refiner")
 def check_candidate_without_contact(refiner: Refiner) -> None:
     """A candidate far from the sensor gives a sound result, with contact_iou 0 if the pose stays far away."""
     problem = press_block()
@@ -175,6 +157,7 @@ def check_candidate_without_contact(refiner: Refiner) -> None:
     require(not claims, f"a pose without contact must have contact_iou 0, not {result.contact_iou:.2g}")
 
 
+@check("refiner", "refines")
 def check_failure_is_said(refiner: Refiner) -> None:
     """A candidate that stays far from the sensor gives converged=False."""
     problem = press_block()
@@ -183,6 +166,7 @@ def check_failure_is_said(refiner: Refiner) -> None:
     require(not claims, "a result without overlap of the contacts must have converged=False")
 
 
+@check("refiner")
 def check_many_are_one_by_one(refiner: Refiner) -> None:
     """`refine_many` returns the results of `refine` in the candidates' order, or an empty list without candidates."""
     for problem in _list_problems():
@@ -205,6 +189,7 @@ def check_many_are_one_by_one(refiner: Refiner) -> None:
     require(isinstance(none, list) and not none, f"no candidates must give an empty list, not {none!r}")
 
 
+@check("refiner", "deterministic")
 def check_deterministic(refiner: Refiner) -> None:
     """The same touch and candidate give exactly the same pose."""
     problem = press_block()
@@ -212,11 +197,13 @@ def check_deterministic(refiner: Refiner) -> None:
     require_equal(first.T_sensor_object, again.T_sensor_object, "the same touch and candidate must give the same pose")
 
 
+@check("refiner", "refines")
 def check_offsets_shrink(refiner: Refiner) -> None:
     """On average, candidates 0.7 to 1 mm from the true pose come nearer to it, at the maximal depth."""
     _require_shrinking(refiner, _list_problems(), "a full press")
 
 
+@check("refiner", "refines")
 def check_offsets_shrink_after_a_light_press(refiner: Refiner) -> None:
     """On average, candidates come nearer to the true pose if the press depth is 40 % of the maximal depth, too.
 
@@ -225,6 +212,7 @@ def check_offsets_shrink_after_a_light_press(refiner: Refiner) -> None:
     _require_shrinking(refiner, [press_block(camera, press=0.4) for camera in CAMERAS], "a light press")
 
 
+@check("refiner", "property")
 def property_object_frame(refiner: Refiner) -> None:
     """If the mesh moves by X in its own frame, candidates T @ inv(X) give the same answer @ X, to TOLERANCE_PX."""
 
@@ -234,6 +222,7 @@ def property_object_frame(refiner: Refiner) -> None:
     hold(claim, motion=motions(), off=slides(), camera=_draw_cameras())
 
 
+@check("refiner", "property")
 def property_symmetric_copies(refiner: Refiner) -> None:
     """For a part with a symmetry S, the candidate T @ S gives the answer of T, times S, to TOLERANCE_PX."""
 
@@ -247,6 +236,7 @@ def property_symmetric_copies(refiner: Refiner) -> None:
     hold(claim, element=whole(1, len(make_prism().symmetry.rotations) - 1), off=slides(), camera=_draw_cameras())
 
 
+@check("refiner", "property")
 def property_mirrored_part(refiner: Refiner) -> None:
     """The part's mirror image, started at any yaw, gets a rigid pose and explains the touch worse than the part does.
 

@@ -11,9 +11,8 @@ from tactile_loc.core.geometry.rigid import Float32, Poses, invert, make_transfo
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import compute_contact_depth
-from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.renderer import Renderer
-from tactile_loc.testing.contract import Check, Untouched, require, require_array, require_close, require_equal
+from tactile_loc.testing.contract import Untouched, check, require, require_array, require_close, require_equal
 from tactile_loc.testing.problems import (
     CAMERAS,
     LOPSIDED_CAMERAS,
@@ -43,38 +42,7 @@ YAWS_RAD = np.arange(24) * (np.pi / 12)  # yaws at which a mirror image is compa
 LEAST_CHIRAL = 0.05  # least share of pixels that must differ at each yaw; for the block, it is at least 8 %
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a renderer of these capabilities."""
-    chosen: list[Check] = [
-        check_output,
-        check_sphere,
-        check_plane,
-        check_hidden_surfaces,
-        check_batch_is_singles,
-        check_apart_is_together,
-        check_mesh_and_poses_untouched,
-        check_shift_moves_the_picture,
-        check_quarter_turn_turns_the_picture,
-        check_scale,
-    ]
-    if capabilities.deterministic:
-        chosen.append(check_deterministic)
-    if capabilities.exact_undercuts:
-        chosen.append(check_undercuts)
-    return chosen
-
-
-def properties(capabilities: Capabilities) -> list[Check]:
-    """Return the properties of a renderer of these capabilities: see `tactile_loc.testing.properties`."""
-    return [
-        property_object_frame,
-        property_mirror_image,
-        property_symmetric_copies,
-        property_pose_order,
-        property_image_size,
-    ]
-
-
+@check("renderer")
 def check_output(renderer: Renderer) -> None:
     """`render` returns (N, H, W) float32 without NaN for any N. Pixels without surface are beyond the contact band."""
     for camera in LOPSIDED_CAMERAS.values():
@@ -88,6 +56,7 @@ def check_output(renderer: Renderer) -> None:
         require(beyond.mean() > 1 - STRAY, "pixels without surface must be deeper than standoff + max_depth, as inf is")
 
 
+@check("renderer")
 def check_sphere(renderer: Renderer) -> None:
     """A sphere has its analytic depth at pixel centres, within the contact band."""
     for camera in LOPSIDED_CAMERAS.values():
@@ -96,6 +65,7 @@ def check_sphere(renderer: Renderer) -> None:
         _compare(depth, _intersect_sphere(camera, centre, 0.008), camera, "a sphere must have its analytic depth")
 
 
+@check("renderer")
 def check_plane(renderer: Renderer) -> None:
     """A tilted plane has its analytic depth."""
     for camera in LOPSIDED_CAMERAS.values():
@@ -106,6 +76,7 @@ def check_plane(renderer: Renderer) -> None:
         _compare(depth, truth, camera, "a tilted plane must have its analytic depth")
 
 
+@check("renderer")
 def check_hidden_surfaces(renderer: Renderer) -> None:
     """A pixel shows the nearest surface along its ray, so the block looks like that of the reference renderer."""
     for camera in LOPSIDED_CAMERAS.values():
@@ -114,6 +85,7 @@ def check_hidden_surfaces(renderer: Renderer) -> None:
         _same(depth, truth, camera, "each pixel must show the nearest surface")
 
 
+@check("renderer")
 def check_batch_is_singles(renderer: Renderer) -> None:
     """Rendering poses together gives the same as rendering them one by one, in the same order."""
     camera = LOPSIDED_CAMERAS["pinhole"]
@@ -123,6 +95,7 @@ def check_batch_is_singles(renderer: Renderer) -> None:
     _same(together, singly, camera, "a batch must be the same as its poses one by one")
 
 
+@check("renderer")
 def check_apart_is_together(renderer: Renderer) -> None:
     """`render_apart`, which is for poses with different rotations, draws the same as `render`."""
     for camera in LOPSIDED_CAMERAS.values():
@@ -131,6 +104,7 @@ def check_apart_is_together(renderer: Renderer) -> None:
         _same(apart, together, camera, "`render_apart` must draw what `render` draws")
 
 
+@check("renderer")
 def check_mesh_and_poses_untouched(renderer: Renderer) -> None:
     """The mesh and the poses are not changed."""
     camera, mesh = CAMERAS["orthographic"], copy_mesh(BLOCK)
@@ -140,6 +114,7 @@ def check_mesh_and_poses_untouched(renderer: Renderer) -> None:
     before.require()
 
 
+@check("renderer")
 def check_shift_moves_the_picture(renderer: Renderer) -> None:
     """If an object moves by whole pixels, its orthographic picture moves by as many pixels: x to the right, y down."""
     camera = LOPSIDED_CAMERAS["orthographic"]
@@ -151,6 +126,7 @@ def check_shift_moves_the_picture(renderer: Renderer) -> None:
     _same(after[:, down:, right:], before[:, :-down, :-right], camera, "+x must be right and +y down in the picture")
 
 
+@check("renderer")
 def check_quarter_turn_turns_the_picture(renderer: Renderer) -> None:
     """A quarter turn of the object about the optical axis rotates a square picture: +x to +y, right to down."""
     for camera in CAMERAS.values():
@@ -160,6 +136,7 @@ def check_quarter_turn_turns_the_picture(renderer: Renderer) -> None:
         _same(after, np.rot90(before, -1, axes=(1, 2)), camera, "rotation about +z must rotate the picture, x to y")
 
 
+@check("renderer")
 def check_scale(renderer: Renderer) -> None:
     """Twice the object on twice the sensor has twice the depths, because no length is built in."""
     for camera in LOPSIDED_CAMERAS.values():
@@ -171,6 +148,7 @@ def check_scale(renderer: Renderer) -> None:
         _same(large / 2, small, camera, "depths must scale with the object and the sensor")
 
 
+@check("renderer", "deterministic")
 def check_deterministic(renderer: Renderer) -> None:
     """The same poses give exactly the same depths."""
     camera = LOPSIDED_CAMERAS["pinhole"]
@@ -179,6 +157,7 @@ def check_deterministic(renderer: Renderer) -> None:
     require_equal(first, again, "the same poses must give the same depths")
 
 
+@check("renderer", "exact_undercuts")
 def check_undercuts(renderer: Renderer) -> None:
     """From beside, a pinhole camera sees the surface behind an overhang."""
     camera = SensorGeometry("pinhole", 64, 64, 32.0, 32.0, 32.0, 32.0, 0.010, 0.002)  # its field of view is 90 degrees
@@ -188,6 +167,7 @@ def check_undercuts(renderer: Renderer) -> None:
     _same(depth, truth, camera, sentence, 0.01)
 
 
+@check("renderer", "property")
 def property_object_frame(renderer: Renderer) -> None:
     """A mesh moved by X in its own frame, at T_sensor_object @ inv(X), looks the same, except for pixels at edges."""
 
@@ -201,6 +181,7 @@ def property_object_frame(renderer: Renderer) -> None:
     hold(claim, motion=motions(), place=places(most_tilt_deg=10), camera_name=_draw_camera_names())
 
 
+@check("renderer", "property")
 def property_mirror_image(renderer: Renderer) -> None:
     """The mirrored part at the mirrored pose gives the mirrored picture, and looks like the part itself at no yaw.
 
@@ -225,6 +206,7 @@ def property_mirror_image(renderer: Renderer) -> None:
     hold(claim, place=places(most_tilt_deg=10), camera_name=_draw_camera_names())
 
 
+@check("renderer", "property")
 def property_symmetric_copies(renderer: Renderer) -> None:
     """A part with a symmetry S looks the same at T and at T @ S, except for pixels at edges."""
 
@@ -244,6 +226,7 @@ def property_symmetric_copies(renderer: Renderer) -> None:
     )
 
 
+@check("renderer", "property")
 def property_pose_order(renderer: Renderer) -> None:
     """If poses are reordered, pictures are reordered in the same way, also by `render_apart`, except at edges."""
     camera = LOPSIDED_CAMERAS["pinhole"]
@@ -257,6 +240,7 @@ def property_pose_order(renderer: Renderer) -> None:
     hold(claim, order=orders(len(T)))
 
 
+@check("renderer", "property")
 def property_image_size(renderer: Renderer) -> None:
     """Every k-th pixel of a picture k times as large (k odd) equals a pixel of the small picture, except at edges."""
 

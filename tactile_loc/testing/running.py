@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from tactile_loc.slots.component import Capabilities, Component
+from tactile_loc.slots.component import Component
 from tactile_loc.slots.encoder import Encoder
 from tactile_loc.slots.registry import CommandSpec
-from tactile_loc.testing import contract, list_checks, list_properties
+from tactile_loc.testing import list_checks, list_properties
 from tactile_loc.testing.contract import Check, ContractError
 from tactile_loc.testing.properties import require_hypothesis
 
@@ -47,14 +47,14 @@ def iter_checks(component: Component | CommandSpec, properties: bool = False) ->
     """Yield the results of `run_checks`, each as soon as it is known."""
     if properties:
         require_hypothesis()
-    chosen = _select_checks(component, properties)
+    chosen = [*list_checks(component), *(list_properties(component) if properties else [])]
     if isinstance(component, Encoder) and component.capabilities.needs_training:
-        trained = _run_check(train, partial(train, component))
+        trained = _run_check(Check("train", "encoder", (), train), component)
         if not trained.passed:
             yield trained
             return
     for check in chosen:
-        yield _run_check(check, partial(check, component))
+        yield _run_check(check, component)
 
 
 def train(encoder: Encoder) -> None:
@@ -64,18 +64,10 @@ def train(encoder: Encoder) -> None:
     encoder.fit(make_training_problem())
 
 
-def _select_checks(component: Component | CommandSpec, properties: bool) -> list[Check]:
-    """Return the checks that apply. If the capabilities are not declared, these are only the checks of every slot."""
-    if isinstance(component, Component) and not isinstance(component.capabilities, Capabilities):
-        return contract.checks(Capabilities())
-    return [*list_checks(component), *(list_properties(component) if properties else [])]
-
-
-def _run_check(check: Callable[..., None], run: Callable[[], None]) -> CheckResult:
-    demands = (check.__doc__ or "").strip().partition("\n")[0]
+def _run_check(check: Check, component: Component | CommandSpec) -> CheckResult:
     start = time.perf_counter()
-    problem = _describe_problem(run)
-    return CheckResult(check.__name__, demands, problem, time.perf_counter() - start)
+    problem = _describe_problem(partial(check, component))
+    return CheckResult(check.name, check.demands, problem, time.perf_counter() - start)
 
 
 def _describe_problem(run: Callable[[], None]) -> str:

@@ -11,29 +11,12 @@ from numpy.typing import NDArray
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.sensor import SensorModel
-from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_close, require_equal
+from tactile_loc.testing.contract import ContractError, Untouched, check, require, require_close, require_equal
 from tactile_loc.testing.properties import hold, whole
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a sensor of these capabilities."""
-    always: list[Check] = [
-        check_geometry,
-        check_contact_shape,
-        check_depths_are_kept,
-        check_observation_untouched,
-        check_refuses_nonsense,
-    ]
-    return [*always, check_deterministic] if capabilities.deterministic else always
-
-
-def properties(capabilities: Capabilities) -> list[Check]:
-    """Return the properties of a sensor of these capabilities: see `tactile_loc.testing.properties`."""
-    return [property_imprint_stays, property_image_size]
-
-
+@check("sensor")
 def check_geometry(sensor: SensorModel) -> None:
     """`geometry` is a SensorGeometry of plausible size, and always the same."""
     geometry = sensor.geometry
@@ -49,6 +32,7 @@ def check_geometry(sensor: SensorModel) -> None:
     require(deepest_mm <= 50, f"lengths are metres: a maximal depth of {deepest_mm:.4g} mm is implausible")
 
 
+@check("sensor")
 def check_contact_shape(sensor: SensorModel) -> None:
     """`contact_shape` returns float32 depths, metres, in the geometry's image size, from 0 to a valid press depth."""
     _, shape = observe(sensor)
@@ -62,11 +46,13 @@ def check_contact_shape(sensor: SensorModel) -> None:
     require(within, "contact depths must be from 0 to the press depth, which marks no contact, and not NaN")
 
 
+@check("sensor")
 def check_depths_are_kept(sensor: SensorModel) -> None:
     """If the sensor takes depths, depths below the press depth are kept, and the other pixels have no contact."""
     _require_kept(sensor, make_dome(sensor.geometry))
 
 
+@check("sensor")
 def check_observation_untouched(sensor: SensorModel) -> None:
     """The observation is not written to."""
     image = observe(sensor)[0]
@@ -75,6 +61,7 @@ def check_observation_untouched(sensor: SensorModel) -> None:
     before.require()
 
 
+@check("sensor")
 def check_refuses_nonsense(sensor: SensorModel) -> None:
     """An observation of the wrong size, shape or type raises TouchError, whose message the user reads."""
     image = observe(sensor)[0]
@@ -94,6 +81,7 @@ def check_refuses_nonsense(sensor: SensorModel) -> None:
         raise _make_error(what, "was accepted")
 
 
+@check("sensor", "deterministic")
 def check_deterministic(sensor: SensorModel) -> None:
     """The same observation gives the same contact shape."""
     image, first = observe(sensor)
@@ -102,6 +90,7 @@ def check_deterministic(sensor: SensorModel) -> None:
         require_equal(a, b, "the same observation must give the same contact shape")
 
 
+@check("sensor", "property")
 def property_imprint_stays(sensor: SensorModel) -> None:
     """An asymmetric imprint at any position and press keeps its pixels, and its depths to 0.1 um; it is not mirrored.
 
@@ -114,6 +103,7 @@ def property_imprint_stays(sensor: SensorModel) -> None:
     hold(claim, column_percent=whole(0, 60), row_percent=whole(0, 60), press_percent=whole(30, 100))
 
 
+@check("sensor", "property")
 def property_image_size(sensor: SensorModel) -> None:
     """An observation with repeated pixels is refused by TouchError, or read like the original, to 1 um.
 

@@ -73,7 +73,7 @@ def test_a_built_in_component_passes(cli: Cli):
     heading, *lines, summary = done.stdout.splitlines()
     assert heading.startswith("matcher dense of tactile-loc: ")
     checks = list_checks(registry.registry().create("matcher", "dense"))
-    assert lines == [f"ok      {check.__name__}" for check in checks]
+    assert lines == [f"ok      {check.name}" for check in checks]
     assert summary.startswith(f"{len(checks)} of {len(checks)} ")
 
 
@@ -82,7 +82,7 @@ def test_the_properties_option_adds_properties(cli: Cli):
     assert done.exit_code == 0, done.output
     component = registry.registry().create("fuser", "product")
     chosen = [*list_checks(component), *list_properties(component)]
-    assert done.stdout.splitlines()[1:-1] == [f"ok      {check.__name__}" for check in chosen]
+    assert done.stdout.splitlines()[1:-1] == [f"ok      {check.name}" for check in chosen]
 
 
 def test_a_failing_property_names_a_case_in_one_line(cli, strange):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 
@@ -10,6 +11,8 @@ from broken_components import BROKEN
 
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
+from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.registry import SLOTS
 from tactile_loc.testing import (
     ContractError,
     contract,
@@ -23,11 +26,12 @@ from tactile_loc.testing import (
     renderers,
     sensors,
 )
+from tactile_loc.testing.contract import CHECKS, PROPERTY
 
 MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers)
 
 
-@pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "__name__", type(x).__name__))
+@pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "name", type(x).__name__))
 def test_a_broken_component_is_noticed(check, component):
     with pytest.raises(ContractError) as caught:
         check(component)
@@ -37,27 +41,20 @@ def test_a_broken_component_is_noticed(check, component):
 
 
 def test_every_check_has_a_broken_component():
-    checks = {f"{m.__name__}.{name}" for m in MODULES for name in vars(m) if name.startswith("check_")}
-    tried = {f"{check.__module__}.{check.__name__}" for check, _ in BROKEN}
-    assert tried == checks
+    assert all(MODULES)  # they are imported
+    checks = {(one.slot, one.name) for one in CHECKS if one.slot in ("", *SLOTS) and not one.is_property}
+    assert {(check.slot, check.name) for check, _ in BROKEN} == checks
 
 
-def test_every_check_is_chosen_for_some_capabilities():
-    from tactile_loc.slots.component import Capabilities
-
-    capabilities = [
-        Capabilities(),
-        Capabilities(contact_only=True),
-        Capabilities(places=True),
-        Capabilities(needs_training=True),
-    ]
-    for module in MODULES:
-        named = {name for name in vars(module) if name.startswith("check_")}
-        assert {check.__name__ for c in capabilities for check in module.checks(c)} == named
+def test_every_tag_is_a_capability_and_every_check_has_a_sentence():
+    fields = {field.name for field in dataclasses.fields(Capabilities)}
+    for check in CHECKS:
+        assert {tag.removeprefix("not ") for tag in check.tags} <= {*fields, PROPERTY}
+        assert check.demands.endswith((".", ":"))
 
 
 def test_checks_follow_the_capabilities():
-    names = {check.__name__ for check in list_checks(NoRefiner())}
+    names = {check.name for check in list_checks(NoRefiner())}
     assert "check_truth_stays" in names
     assert "check_offsets_shrink" not in names
 

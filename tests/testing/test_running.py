@@ -21,7 +21,7 @@ def problems(results: list[CheckResult]) -> dict[str, str]:
 
 def test_a_sound_component_passes_every_check_in_order():
     results = run_checks(DenseMatcher())
-    assert [r.name for r in results] == [check.__name__ for check in list_checks(DenseMatcher())]
+    assert [r.name for r in results] == [check.name for check in list_checks(DenseMatcher())]
     assert problems(results) == {}
     assert all(r.seconds >= 0 and r.demands.endswith(".") and "\n" not in r.demands for r in results)
 

@@ -14,9 +14,8 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.registry import registry
-from tactile_loc.testing.contract import Check, ContractError, Untouched, require
+from tactile_loc.testing.contract import ContractError, Untouched, check, require
 from tactile_loc.testing.problems import ReferenceRenderer, make_block, make_planar_pose, make_touch, replace_depth
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
@@ -33,18 +32,7 @@ RANDOM_SCATTER_M = (
 COUNTS = (1, len(TILTS))
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a method of these capabilities."""
-    chosen: list[Check] = [check_poses, check_scores, check_probabilities, check_inputs_untouched, check_base_frame,
-                           check_nearly_empty_contact]  # fmt: skip
-    return [*chosen, check_same_again] if capabilities.deterministic else chosen
-
-
-def properties(capabilities: Capabilities) -> list[Check]:
-    """Return no properties: methods have checks only."""
-    return []
-
-
+@check("method")
 def check_poses(method: Method) -> None:
     """`locate` returns rigid poses for one touch and for several."""
     for answer in _list_answers(method):
@@ -52,6 +40,7 @@ def check_poses(method: Method) -> None:
         require(is_rigid(np.asarray(answer.T_base_object)), "every pose must be a rigid transform (4, 4)")
 
 
+@check("method")
 def check_scores(method: Method) -> None:
     """The best pose comes first, and the scores do not increase after it."""
     for answer in _list_answers(method):
@@ -59,6 +48,7 @@ def check_scores(method: Method) -> None:
         require(falling, f"poses must be in the order of their scores, the best first, not {answer.scores.tolist()}")
 
 
+@check("method")
 def check_probabilities(method: Method) -> None:
     """Probabilities, if any, are from 0 to 1, and their sum is at most 1."""
     for answer in _list_answers(method):
@@ -67,6 +57,7 @@ def check_probabilities(method: Method) -> None:
         require(p.sum() <= 1 + 1e-6, f"the sum of all probabilities must be at most 1, not {p.sum():.3g}")
 
 
+@check("method")
 def check_inputs_untouched(method: Method) -> None:
     """The touches and the object are not changed, and the poses have their own memory."""
     method, problem = _prepare(method)
@@ -82,6 +73,7 @@ def check_inputs_untouched(method: Method) -> None:
     require(not shared, "the poses must not share memory with a touch's T_base_sensor; return a copy")
 
 
+@check("method")
 def check_base_frame(method: Method) -> None:
     """In another base frame, the best pose is the same pose in that frame, or another of the listed poses is."""
     method, problem = _prepare(method)
@@ -100,6 +92,7 @@ def check_base_frame(method: Method) -> None:
     )
 
 
+@check("method")
 def check_nearly_empty_contact(method: Method) -> None:
     """A contact of a few pixels gives an answer or a TactileLocError, never another exception."""
     method, problem = _prepare(method)
@@ -116,6 +109,7 @@ def check_nearly_empty_contact(method: Method) -> None:
             ) from error
 
 
+@check("method", "deterministic")
 def check_same_again(method: Method) -> None:
     """The same touches give the same answer again."""
     method, problem = _prepare(method)

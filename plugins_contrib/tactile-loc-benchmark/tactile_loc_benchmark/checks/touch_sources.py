@@ -20,10 +20,9 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import TactileLocError, TouchError
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.registry import registry
 from tactile_loc.slots.sensor import SensorModel
-from tactile_loc.testing.contract import Check, ContractError, Untouched, require, require_equal
+from tactile_loc.testing.contract import ContractError, Untouched, check, require, require_equal
 from tactile_loc.testing.problems import ReferenceRenderer, make_ball, make_plain_object, make_planar_pose
 
 from tactile_loc_benchmark.interfaces import RecordedSource, RecordedTouch, SimulatedSource, TouchSource
@@ -46,17 +45,7 @@ class PreparedSensor:
     folder: TemporaryDirectory[str]
 
 
-def checks(capabilities: Capabilities) -> list[Check]:
-    """Return the checks for a source of touches. Those of the other kind of source pass at once."""
-    return [check_provenance, check_kind, check_sensor_table, check_press, check_press_is_repeatable,
-            check_scene_untouched, check_deeper_press_shows_more, check_objects, check_recorded_touches]  # fmt: skip
-
-
-def properties(capabilities: Capabilities) -> list[Check]:
-    """Return no properties: a press may take seconds."""
-    return []
-
-
+@check("touch-source")
 def check_provenance(source: TouchSource) -> None:
     """The licence is stated, and `libraries` are the names of distributions."""
     require(isinstance(source.licence, str) and source.licence, "licence must be a text, such as 'MIT'")
@@ -64,17 +53,20 @@ def check_provenance(source: TouchSource) -> None:
     require(named, f"libraries must be a tuple of distributions' names, not {source.libraries!r}")
 
 
+@check("touch-source")
 def check_kind(source: TouchSource) -> None:
     """The source derives from SimulatedSource or RecordedSource."""
     known = isinstance(source, SimulatedSource | RecordedSource)
     require(known, "a touch source must derive from SimulatedSource or RecordedSource: a benchmark uses no others")
 
 
+@check("touch-source")
 def check_sensor_table(source: TouchSource) -> None:
     """`prepare_sensor` returns the `name` and the options of a sensor that can be made."""
     prepare(source)
 
 
+@check("touch-source")
 def check_press(source: TouchSource) -> None:
     """`press` returns an image that the sensor reads, or a contact shape of the sensor's image size."""
     if not isinstance(source, SimulatedSource):
@@ -89,6 +81,7 @@ def check_press(source: TouchSource) -> None:
     read_press(source, seen)
 
 
+@check("touch-source")
 def check_press_is_repeatable(source: TouchSource) -> None:
     """The same scene, pose and generator give the same touch."""
     if not isinstance(source, SimulatedSource):
@@ -97,6 +90,7 @@ def check_press_is_repeatable(source: TouchSource) -> None:
     require_equal(first, again, "the same generator must give the same touch")
 
 
+@check("touch-source")
 def check_scene_untouched(source: TouchSource) -> None:
     """The pose and the object are not written to."""
     if not isinstance(source, SimulatedSource):
@@ -108,6 +102,7 @@ def check_scene_untouched(source: TouchSource) -> None:
     before.require()
 
 
+@check("touch-source")
 def check_deeper_press_shows_more(source: TouchSource) -> None:
     """A ball that is pressed more deeply has a greater press depth and a larger contact."""
     if not isinstance(source, SimulatedSource):
@@ -120,6 +115,7 @@ def check_deeper_press_shows_more(source: TouchSource) -> None:
     require(areas[1] > GROWS * areas[0], grown)
 
 
+@check("touch-source")
 def check_objects(source: TouchSource) -> None:
     """`find_objects` returns objects by name."""
     if not isinstance(source, RecordedSource):
@@ -129,6 +125,7 @@ def check_objects(source: TouchSource) -> None:
     require(fit, "find_objects must return at least one ObjectModel by its name")
 
 
+@check("touch-source")
 def check_recorded_touches(source: TouchSource) -> None:
     """Each recorded touch has an image and a rigid pose, and the sensor reads at least one touch of each object."""
     if not isinstance(source, RecordedSource):
