@@ -31,6 +31,7 @@ from tactile_loc.slots.registry import registry
 from tactile_loc.tracking.pose_modes import MOST_MODES
 from tactile_loc.tracking.tracked_pose import TrackedPose
 from tactile_loc.tracking.tracker import Tracker
+from tactile_loc.view.drawn_scene import DrawnScene, DrawnSensor
 from tactile_loc.view.pictures import (
     compute_extent_mm,
     draw_contact_shape,
@@ -71,7 +72,8 @@ def draw_rendering(localizer: Localizer) -> Figure:
     figure = make_figure(13.6, 4.5)
     left, middle, right = figure.subfigures(1, 3, width_ratios=[5, 4.3, 4.3])
     left.suptitle("the object in contact", size=10, y=0.93)
-    draw_pose(left.add_axes((0.02, 0.02, 0.96, 0.86)), scene.object.mesh, geometry, T)
+    drawn = DrawnScene(scene.object.mesh, (DrawnSensor(geometry),), T[None])
+    draw_pose(left.add_axes((0.02, 0.02, 0.96, 0.86)), drawn)
     extent = compute_extent_mm(geometry)
     views = (
         (middle, "camera depth z(u) beyond the surface (mm)", np.where(np.isfinite(z_m), z_m, np.nan)),

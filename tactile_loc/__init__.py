@@ -106,6 +106,8 @@ if TYPE_CHECKING:
     from tactile_loc.view.calibration import draw_reading as draw_reading
     from tactile_loc.view.calibration import save_held_out as save_held_out
     from tactile_loc.view.calibration import save_labels as save_labels
+    from tactile_loc.view.drawn_scene import DrawnScene as DrawnScene
+    from tactile_loc.view.drawn_scene import DrawnSensor as DrawnSensor
     from tactile_loc.view.pictures import draw_result as draw_result
     from tactile_loc.view.pictures import save_figure as save_figure
 

@@ -19,6 +19,7 @@ from tactile_loc.locate.result.verdict import explain_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.tracking.live import LiveRecord, LiveResult
+from tactile_loc.view.drawn_scene import DrawnSensor
 from tactile_loc.view.pose_panel import choose_view
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ def make_live_page(localizer: Localizer, about: str) -> Page:
     frame = pictures.Frame.of(geometry)
     numbers = {"numbers": NUMBERS, "frame": frame}
     data = {
-        "mesh": scene.pack_mesh(mesh), "pad": scene.build_empty_pad(geometry, np.eye(4)),
+        "mesh": scene.pack_mesh(mesh), "pad": scene.build_pad(DrawnSensor(geometry)),
         "bounds": _compute_bounds(mesh, geometry),
         "camera": _place_camera(mesh, geometry, _place_above(mesh, geometry)),
     }  # fmt: skip
@@ -75,7 +76,7 @@ def describe_frame(result: LiveResult, made: ContactShape | None, localizer: Loc
         ],
         "outline": "" if shape is None else pictures.trace_outline(shape, geometry),
         "made": "" if made is None else pictures.trace_outline(made, geometry),
-        "contact": scene.join_lines([] if shape is None else scene.trace_outlines_mm(shape, geometry)),
+        "contact": scene.join_lines(DrawnSensor(geometry, touch=touch).outlines_m),
         "touches": touch is not None,
         "T": None if T is None else scene.list_rows_mm(T),
         "camera": None if T is None else _place_camera(localizer.object.mesh, geometry, T),
@@ -124,7 +125,7 @@ def _place_above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
 
 def _place_camera(mesh: TriangleMesh, geometry: SensorGeometry, T: Array) -> dict[str, Any]:
     """Return a camera that sees the sensor, and the object at T (4, 4), metres."""
-    housing = scene.build_empty_pad(geometry, np.eye(4))["housing"]
+    housing = scene.build_pad(DrawnSensor(geometry))["housing"]
     corners = np.stack([housing[k] for k in "xyz"], axis=1)
     seen_mm = np.concatenate([1e3 * transform_points(T, mesh.vertices_m), corners])
     return scene.place_camera(seen_mm, _compute_bounds(mesh, geometry), choose_view(mesh, T, scene.ELEVATION_DEG))

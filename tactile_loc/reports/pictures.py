@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.images import UNREADABLE, load_image
-from tactile_loc.reports.scene import trace_outlines_mm, write_number
+from tactile_loc.reports.scene import write_number
+from tactile_loc.view.drawn_scene import trace_outlines_m
 from tactile_loc.view.pictures import compute_extent_mm
 from tactile_loc.view.pose_panel import list_round_values
 
@@ -92,8 +93,8 @@ def draw_difference(made: ContactShape, observed: ContactShape, geometry: Sensor
 
 def trace_outline(shape: ContactShape, geometry: SensorGeometry) -> str:
     """Return the outline of a contact (H, W) as an SVG path, in mm on the sensing surface."""
-    lines = trace_outlines_mm(shape, geometry)
-    return "".join("M" + "L".join(f"{x:.2f} {y:.2f}" for x, y, _ in line) for line in lines)
+    lines = trace_outlines_m(shape, geometry)
+    return "".join("M" + "L".join(f"{x:.2f} {y:.2f}" for x, y, _ in 1e3 * line) for line in lines)
 
 
 def encode_photo(image: NDArray[np.uint8]) -> str:

@@ -23,6 +23,7 @@ from tactile_loc.locate.result.verdict import Verdict, explain_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section
+from tactile_loc.view.drawn_scene import DrawnScene
 
 ALL = 0.999999  # a sum of probabilities above this value is one, except for rounding
 COLUMNS = ("rank", "prob. (%)", "imprint IoU (%)", "x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
@@ -63,7 +64,7 @@ def collect_data(found: Localization) -> dict[str, Any]:
     poses, truth = np.array([h.T_sensor_object for h in found.hypotheses]), found.touch.T_sensor_object
     return {
         "candidates": _describe_candidates(found),
-        **scene.build_sensor_scene(found.object.mesh, found.touches, poses, truth),
+        **scene.build_sensor_scene(DrawnScene.of(found)),
         "surface": scene.build_surface_scene(find_surface(found), poses, truth, found.touch.geometry),
         **_sum_rotations(found.posterior),
         "times": [[stage, 1e3 * s] for stage, s in found.seconds.items() if stage not in BEFORE],

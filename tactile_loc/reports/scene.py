@@ -13,15 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
+from tactile_loc.core.geometry.rigid import Poses, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.sensing.scene import relate_sensors
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch, cut_to_touching
 from tactile_loc.reports.distribution import SurfaceDistribution, compute_vertex_normals, find_touched_vertices
-from tactile_loc.view.pictures import compute_extent_mm, group_nearby
-from tactile_loc.view.pose_panel import GEL_MM, RIM_MM, build_sensor_mm, choose_view, list_round_values
-from tactile_loc.view.raytracing import CREASE_DEG, View, compute_normals
+from tactile_loc.view.drawn_scene import DrawnScene, DrawnSensor
+from tactile_loc.view.pictures import group_nearby
+from tactile_loc.view.pose_panel import GEL_MM, RIM_MM, choose_view, list_round_values
+from tactile_loc.view.raytracing import CREASE_DEG, Viewpoint, compute_normals
 
 Array = NDArray[np.float64]
 
@@ -37,14 +36,12 @@ LIFT_MM, TOGETHER_MM = 1.5, 4.0  # height of marks above the surface, and distan
 AROUND_MM, AXES_MM = 14.0, 10.0
 
 
-def build_sensor_scene(
-    mesh: TriangleMesh, touches: Sequence[Touch], poses: Poses, truth: Array | None
-) -> dict[str, Any]:
-    """Return the scene of an object on the sensors of its touches, for the candidates' poses (K, 4, 4), metres."""
-    pads = [build_pad(touch, relate_sensors(touches[0], touch)) for touch in touches]
-    bounds = compute_bounds_mm(mesh, [*poses, *([] if truth is None else [truth])], pads)
-    view = choose_view(mesh, poses[0], ELEVATION_DEG)
-    best_mm = 1e3 * transform_points(poses[0], mesh.vertices_m)
+def build_sensor_scene(scene: DrawnScene) -> dict[str, Any]:
+    """Return an object at the poses of a scene, on its sensors."""
+    pads, mesh, truth = [build_pad(sensor) for sensor in scene.sensors], scene.mesh, scene.T_true
+    bounds = compute_bounds_mm(mesh, [*scene.poses, *([] if truth is None else [truth])], pads)
+    view = choose_view(mesh, scene.poses[0], ELEVATION_DEG)
+    best_mm = 1e3 * transform_points(scene.poses[0], mesh.vertices_m)
     seen_mm = np.concatenate([best_mm, *(_stack_points(one["housing"]) for one in pads)])
     return {
         "mesh": pack_mesh(mesh),
@@ -53,7 +50,7 @@ def build_sensor_scene(
         "pads": pads,
         "bounds": bounds,
         "camera": place_camera(seen_mm, bounds, view),
-        "ticks": list_pad_ticks(touches[0].geometry, view),
+        "ticks": list_pad_ticks(scene.sensors[0].geometry, view),
     }
 
 
@@ -111,38 +108,13 @@ def list_rows_mm(T: Array) -> list[float]:
     return [round(float(v), 7) for v in rows.ravel()]
 
 
-def build_pad(touch: Touch, T_sensor_first: Array) -> dict[str, Any]:
-    """Return a touch's gel, housing and contact outline, in mm, in the sensor frame of the first touch."""
-    T = invert(T_sensor_first)
-    lines = [transform_points(T, 1e-3 * line) * 1e3 for line in trace_outlines_mm(touch.contact_shape, touch.geometry)]
-    return {**build_empty_pad(touch.geometry, T), "contact": join_lines(lines)}
-
-
-def build_empty_pad(geometry: SensorGeometry, T: Array) -> dict[str, Any]:
-    """Return a sensor's gel and housing without a contact, in mm, moved by a transform (4, 4) in metres."""
-    gel, housing = (_move_triangles(part, T) for part in build_sensor_mm(geometry))
-    return {"gel": gel, "housing": housing, "contact": join_lines([])}
-
-
-def trace_outlines_mm(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
-    """Return the closed outlines (P, 3) of a contact shape (H, W), in mm, in the sensor frame, on the undeformed gel.
-
-    They surround the part at which the gel touches the object.
-    """
-    from contourpy import contour_generator
-
-    left, right, bottom, top = compute_extent_mm(geometry)
-    height, width = geometry.shape
-    framed = np.pad(
-        (cut_to_touching(shape, geometry).contact & geometry.observed_mask).astype(float), 1
-    )  # outlines close at the image's border
-    borders: Any = contour_generator(z=framed).lines(0.5)
-    found = []
-    for line in borders:
-        column, row = (np.clip(line - 0.5, 0, [width, height]) / [width, height]).T
-        z = np.full(len(line), 1e3 * geometry.surface_m)
-        found.append(np.stack([left + column * (right - left), top + row * (bottom - top), z], axis=1))
-    return found
+def build_pad(sensor: DrawnSensor) -> dict[str, Any]:
+    """Return a sensor's gel, its housing and the outline of the contact, in mm, in the frame of the scene."""
+    parts = {"gel": sensor.gel_m, "housing": sensor.housing_m}
+    return {
+        **{name: _list_triangles(part_m) for name, part_m in parts.items()},
+        "contact": join_lines(sensor.outlines_m),
+    }
 
 
 def find_creases(mesh: TriangleMesh) -> list[list[int]]:
@@ -168,7 +140,7 @@ def compute_bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable
     return [[round(float(a - MARGIN_MM), 2), round(float(b + MARGIN_MM), 2)] for a, b in zip(low, high, strict=True)]
 
 
-def place_camera(points_mm: Array, bounds: Sequence[Sequence[float]], view: View) -> dict[str, dict[str, float]]:
+def place_camera(points_mm: Array, bounds: Sequence[Sequence[float]], view: Viewpoint) -> dict[str, dict[str, float]]:
     """Return a camera for plotly that sees all points (P, 3), mm, from a view; `bounds` are the axes' ranges.
 
     Plotly's unit of length is the geometric mean of the ranges. Plotly's origin is the middle of the ranges, and its
@@ -184,24 +156,24 @@ def place_camera(points_mm: Array, bounds: Sequence[Sequence[float]], view: View
     return {name: {k: round(float(v), 5) for k, v in zip("xyz", place, strict=True)} for name, place in places.items()}
 
 
-def choose_view_on(point: Array, centre: Array) -> View:
+def choose_view_on(point: Array, centre: Array) -> Viewpoint:
     """Return a view in which a point (3,) of a surface lies in front of the surface's centre."""
     x, y, z = point - centre
     azimuth_deg = float(np.degrees(np.arctan2(x, -y)))
     elevation_deg = float(np.degrees(np.arctan2(z, np.hypot(x, y))))
-    return View(azimuth_deg + ASIDE_DEG, float(np.clip(elevation_deg, -60, 60)))
+    return Viewpoint(azimuth_deg + ASIDE_DEG, float(np.clip(elevation_deg, -60, 60)))
 
 
-def build_triad(box_mm: Array, view: View, length_mm: float) -> dict[str, Any]:
+def build_triad(box_mm: Array, view: Viewpoint, length_mm: float) -> dict[str, Any]:
     """Return lines and names of the frame's axes at the corner of a box (3, 2), mm, that is lower left in the view."""
     corners = np.array(np.meshgrid(*box_mm, indexing="ij")).reshape(3, -1).T
     origin_mm = corners[(view.project(corners) @ [1.0, 1.0]).argmin()]
-    lines = join_lines([np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
+    lines = join_lines([1e-3 * np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
     names = origin_mm + 1.25 * length_mm * np.eye(3)
     return {"lines": lines, "names": {**_split_columns(names), "text": ["x", "y", "z"]}}
 
 
-def list_pad_ticks(geometry: SensorGeometry, view: View) -> dict[str, list[Any]]:
+def list_pad_ticks(geometry: SensorGeometry, view: Viewpoint) -> dict[str, list[Any]]:
     """Return the numbers, in mm, along the two edges of the first sensor's pad that are nearest to the viewer."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     away, z = RIM_MM + 5.5, 1e3 * geometry.surface_m - GEL_MM
@@ -229,17 +201,17 @@ def _split_columns(points: Array) -> dict[str, list[float]]:
     return {name: np.round(points[:, k], 3).tolist() for k, name in enumerate("xyz")}
 
 
-def _move_triangles(triangles_mm: Array, T: Array) -> dict[str, list[float]]:
-    """Move triangles (F, 3, 3), mm, by a transform (4, 4) in metres, and return them as a plotly mesh."""
-    corners = transform_points(T, 1e-3 * triangles_mm.reshape(-1, 3)) * 1e3
+def _list_triangles(triangles_m: Array) -> dict[str, list[float]]:
+    """Return triangles (F, 3, 3), metres, as a plotly mesh in mm."""
+    corners = 1e3 * triangles_m.reshape(-1, 3)
     numbers = np.arange(len(corners)).reshape(-1, 3)
     return _split_columns(corners) | {name: numbers[:, k].tolist() for k, name in enumerate("ijk")}
 
 
-def join_lines(lines: Sequence[Array]) -> dict[str, list[float | None]]:
-    """Return lines (P, 3) as a single line with gaps."""
+def join_lines(lines_m: Sequence[Array]) -> dict[str, list[float | None]]:
+    """Return lines (P, 3), metres, as a single line with gaps, in mm."""
     columns: dict[str, list[float | None]] = {"x": [], "y": [], "z": []}
-    for line in lines:
+    for line in lines_m:
         for k, name in enumerate("xyz"):
-            columns[name] += [*np.round(line[:, k], 3).tolist(), None]
+            columns[name] += [*np.round(1e3 * line[:, k], 3).tolist(), None]
     return columns

@@ -10,26 +10,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import invert, transform_points
-from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.formatting import format_millimetres
-from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.view.pictures import draw_contact_shape, draw_outline, make_figure
-from tactile_loc.view.pose_panel import (
+from tactile_loc.view.drawn_scene import (
     EDGE,
     GEL,
     HOUSING,
     STEEL,
     TRUTH,
-    build_sensor_mm,
-    choose_view,
-    paint,
-    thicken,
+    DrawnScene,
+    DrawnSensor,
+    move_triangles,
 )
-from tactile_loc.view.raytracing import Bounds, Tracer, View, average, shade, unmultiply
+from tactile_loc.view.pictures import draw_contact_shape, draw_outline, make_figure
+from tactile_loc.view.pose_panel import choose_view, paint, thicken
+from tactile_loc.view.raytracing import Bounds, Tracer, Viewpoint, average, shade, unmultiply
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,30 +45,30 @@ LABEL = 0.55  # place of a sensor's label: 0 for the gel's middle, 1 for its cor
 MARGIN = 0.05  # free space around the drawn solids, in sizes of the picture
 
 
-def draw_touching_again(alone: Localization, together: Localization, scene: Scene, title: str) -> Figure:
+def draw_touching_again(alone: Localization, together: Localization, title: str) -> Figure:
     """Draw the first touch and the poses that explain it, beside all touches and the first pose that explains them.
 
-    `alone` is the result of the first touch of `together`. `scene` has the object, and the first touch's sensor. Lines
-    show the true pose if it is known.
+    `alone` is the result of the first touch of `together`. Lines show the true pose if it is known.
     """
     figure = make_figure(WIDTH_IN, HEIGHT_IN)
     figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.975)
     panels: Any = figure.subfigures(1, 2)
     left, right = panels
-    view = _SharedView.of(alone, together, scene)
-    _draw_side(left, alone, scene.object, "the first touch alone")
-    _draw_image(left, view, view.draw_ghosts([h.T_sensor_object for h in alone.equal_explanations[:MOST_GHOSTS]]))
-    _draw_side(right, together, scene.object, f"{len(together.touches)} touches together")
-    axes = _draw_image(right, view, view.draw_touched(together.best.T_sensor_object))
-    view.label_sensors(axes, together.best.T_sensor_object)
+    ghosts = [h.T_sensor_object for h in alone.equal_explanations[:MOST_GHOSTS]]
+    view = _SharedView.of(DrawnScene.of(together), ghosts)
+    _draw_side(left, alone, "the first touch alone")
+    _draw_image(left, view, view.draw_ghosts(ghosts))
+    _draw_side(right, together, f"{len(together.touches)} touches together")
+    axes = _draw_image(right, view, view.draw_touched())
+    view.label_sensors(axes)
     _draw_legend(left, {"poses that explain the touch": STEEL}, alone)
     _draw_legend(right, {"first pose": STEEL}, together)
     return figure
 
 
-def _draw_side(panel: SubFigure, found: Localization, obj: ObjectModel, of: str) -> None:
+def _draw_side(panel: SubFigure, found: Localization, of: str) -> None:
     """Write what the touches show, and draw their contact shapes."""
-    errors_m = found.measure_errors_m(obj)
+    errors_m = found.measure_errors_m(found.object)
     off = "" if errors_m is None else f"; first pose: {format_millimetres(errors_m[0])} off"
     panel.text(0.5, 0.882, f"{of}: {found.verdict}", size=13, ha="center", weight="bold")
     panel.text(0.5, 0.845, f"{found.count_explanations()}{off}", size=10.5, ha="center", color="#37474f")
@@ -115,28 +112,19 @@ def _draw_legend(panel: SubFigure, colours: dict[str, Any], found: Localization)
 
 @dataclass(frozen=True, eq=False)
 class _SharedView:
-    """An object and N sensors from one viewpoint, for both sides of the figure, in the first sensor's frame.
+    """A scene from one viewpoint, for both sides of the figure."""
 
-    `triangles_mm` (F, 3, 3) are the object's, in its frame. Each sensor is its gel and its housing, as triangles in mm.
-    """
-
-    triangles_mm: Array
-    sensors_mm: Sequence[list[Array]]
-    T_true: Array | None
-    view: View
+    scene: DrawnScene
+    view: Viewpoint
     bounds: Bounds
 
     @classmethod
-    def of(cls, alone: Localization, together: Localization, scene: Scene) -> _SharedView:
-        """Choose a viewpoint that shows all poses and sensors."""
-        mesh, best = scene.object.mesh, together.best.T_sensor_object
-        triangles_mm = 1e3 * mesh.vertices_m[mesh.faces]
-        sensors_mm = [_place_sensor(touch, together.touch) for touch in together.touches]
-        view = choose_view(mesh, best)
-        ghosts = alone.equal_explanations[:MOST_GHOSTS]
-        posed = [_move(triangles_mm, T) for T in (best, *(h.T_sensor_object for h in ghosts))]
-        bounds = _fit_bounds(view, [*posed, *(part for sensor in sensors_mm for part in sensor)])
-        return cls(triangles_mm, sensors_mm, together.touch.T_sensor_object, view, bounds)
+    def of(cls, scene: DrawnScene, ghosts: Sequence[Array]) -> _SharedView:
+        """Choose a viewpoint that shows the object, also at the poses `ghosts` (4, 4), metres, and all sensors."""
+        view = choose_view(scene.mesh, scene.poses[0])
+        posed = [move_triangles(scene.mesh.triangles_m, T) for T in ghosts]
+        sensors = [part for sensor in scene.sensors for part in (sensor.gel_m, sensor.housing_m)]
+        return cls(scene, view, _fit_bounds(view, [1e3 * part for part in (scene.object_m, *posed, *sensors)]))
 
     @cached_property
     def shape(self) -> tuple[int, int]:
@@ -149,27 +137,27 @@ class _SharedView:
     @cached_property
     def step_mm(self) -> float:
         """The depth step that counts as an edge, mm."""
-        return EDGE_STEP * float(np.ptp(self.triangles_mm.reshape(-1, 3), axis=0).max())
+        return EDGE_STEP * 1e3 * float(np.ptp(self.scene.mesh.triangles_m.reshape(-1, 3), axis=0).max())
 
     def draw_ghosts(self, T_sensor_object: Sequence[Array]) -> Image:
         """Return a picture of the first sensor and the object at each pose, seen through."""
-        image = self._draw([], self.sensors_mm[:1])
-        for ghost in map_in_threads(lambda T: self._draw([T], self.sensors_mm[:1]), T_sensor_object[::-1]):
+        first = self.scene.sensors[:1]
+        image = self._draw([], first)
+        for ghost in map_in_threads(lambda T: self._draw([T], first), T_sensor_object[::-1]):
             image = _blend(image, ghost, GHOST)
         return self._mark_truth(image)
 
-    def draw_touched(self, T_sensor_object: Array) -> Image:
-        """Return a picture of the object at a pose, on the first sensor; others are seen through."""
-        image = self._draw([T_sensor_object], self.sensors_mm[:1])
-        every = self._draw([T_sensor_object], self.sensors_mm)
-        return self._mark_truth(_blend(image, every, SEEN_THROUGH))
+    def draw_touched(self) -> Image:
+        """Return a picture of the object at the first pose, on the first sensor; others are seen through."""
+        best, sensors = [self.scene.poses[0]], self.scene.sensors
+        return self._mark_truth(_blend(self._draw(best, sensors[:1]), self._draw(best, sensors), SEEN_THROUGH))
 
-    def label_sensors(self, axes: Axes, T_sensor_object: Array) -> None:
+    def label_sensors(self, axes: Axes) -> None:
         """Write each touch's name on its sensor, in the corner that is farthest from the object and other sensors."""
         from matplotlib.patheffects import withStroke
 
-        solids = [_move(self.triangles_mm, T_sensor_object), *(gel for gel, _ in self.sensors_mm)]
-        flat = [self.view.project(triangles).reshape(-1, 2) for triangles in solids]
+        solids = [self.scene.object_m, *(sensor.gel_m for sensor in self.scene.sensors)]
+        flat = [self.view.project(1e3 * triangles_m).reshape(-1, 2) for triangles_m in solids]
         middles = np.stack([points.mean(axis=0) for points in flat])
         halo = [withStroke(linewidth=2.5, foreground="white")]
         for number, corners in enumerate(flat[1:]):
@@ -178,45 +166,31 @@ class _SharedView:
             at = LABEL * corners[free_mm.argmax()] + (1 - LABEL) * middles[number + 1]
             axes.text(at[0], at[1], name_touch(number), size=10, ha="center", va="center", path_effects=halo)
 
-    def _draw(self, T_sensor_object: Sequence[Array], sensors_mm: Sequence[list[Array]]) -> Image:
-        surfaces = [_move(self.triangles_mm, T) for T in T_sensor_object]
-        colours = [STEEL] * len(surfaces) + [GEL, HOUSING] * len(sensors_mm)
-        tracer = Tracer([*surfaces, *(part for sensor in sensors_mm for part in sensor)], self.view)
+    def _draw(self, T_sensor_object: Sequence[Array], sensors: Sequence[DrawnSensor]) -> Image:
+        surfaces = [move_triangles(self.scene.mesh.triangles_m, T) for T in T_sensor_object]
+        colours = [STEEL] * len(surfaces) + [GEL, HOUSING] * len(sensors)
+        surfaces += [part for sensor in sensors for part in (sensor.gel_m, sensor.housing_m)]
+        tracer = Tracer([1e3 * surface for surface in surfaces], self.view)
         seen = tracer.look(self.bounds, self.shape)
         image = shade(seen, np.array(colours), tracer.cast_shadow(seen, 0.02))
         paint(image, seen.find_edges(self.step_mm) & seen.hit, EDGE, 0.75)
         return average(image, SUPERSAMPLE)
 
     def _mark_truth(self, image: Image) -> Image:
-        if self.T_true is None:
+        if self.scene.truth_m is None:
             return image
-        seen = Tracer([_move(self.triangles_mm, self.T_true)], self.view).look(self.bounds, self.shape)
+        seen = Tracer([1e3 * self.scene.truth_m], self.view).look(self.bounds, self.shape)
         lines = np.zeros((*self.shape, 4), np.float32)
         paint(lines, thicken(seen.find_edges(self.step_mm)), TRUTH, 1.0)
         return _blend(image, average(lines, SUPERSAMPLE), TRUTH_OPACITY)
 
 
-def _fit_bounds(view: View, surfaces: Sequence[Array]) -> Bounds:
+def _fit_bounds(view: Viewpoint, surfaces: Sequence[Array]) -> Bounds:
     """Return the borders of a picture that shows all surfaces, mm."""
     flat = np.concatenate([view.project(triangles).reshape(-1, 2) for triangles in surfaces])
     (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
     margin = MARGIN * max(right - left, top - bottom)
     return left - margin, right + margin, bottom - margin, top + margin
-
-
-def _place_sensor(touch: Touch, first: Touch) -> list[Array]:
-    """Return the gel and the housing of a touch's sensor, as triangles (12, 3, 3), mm, in the first sensor's frame."""
-    parts = build_sensor_mm(touch.geometry)
-    if touch is first or touch.T_base_sensor is None or first.T_base_sensor is None:
-        return parts
-    T_first_sensor = invert(first.T_base_sensor) @ touch.T_base_sensor
-    return [_move(part, T_first_sensor) for part in parts]
-
-
-def _move(triangles_mm: Array, T: Array) -> Array:
-    """Return triangles (F, 3, 3), mm, moved by a transform (4, 4), metres."""
-    moved: Array = 1e3 * transform_points(T, 1e-3 * triangles_mm.reshape(-1, 3)).reshape(-1, 3, 3)
-    return moved
 
 
 def _blend(below: Image, above: Image, opacity: float) -> Image:

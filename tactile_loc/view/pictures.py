@@ -21,7 +21,8 @@ from tactile_loc.io.images import load_image
 from tactile_loc.io.shape_pictures import NO_CONTACT, OUTLINE
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.store.files import write_atomically
-from tactile_loc.view.pose_panel import EDGE, STEEL, TRUTH, draw_pose
+from tactile_loc.view.drawn_scene import EDGE, STEEL, TRUTH, DrawnScene, find_extent_m
+from tactile_loc.view.pose_panel import draw_pose
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +61,7 @@ def draw_result(
         _draw_photo(panels[0], localization, scene)
     _draw_observed(left, localization.touch)
     _draw_candidates(middle, localization, scene, errors_m, columns)
-    _draw_scene(right, localization, scene)
+    _draw_scene(right, localization)
     return figure
 
 
@@ -76,7 +77,7 @@ def _draw_together(
     left, middle, right = panels
     _draw_all_observed(left, localization)
     _draw_candidates(middle, localization, scene, errors_m, columns)
-    _draw_scene(right, localization, scene)
+    _draw_scene(right, localization)
     return figure
 
 
@@ -263,15 +264,14 @@ def _write_caption(
     return text if errors_m is None else f"{text},  {format_millimetres(errors_m[i])} off"
 
 
-def _draw_scene(panel: SubFigure, localization: Localization, scene: Scene) -> None:
+def _draw_scene(panel: SubFigure, localization: Localization) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     axes = panel.add_axes((0.02, 0.075, 0.97, 0.815))
-    touch, best = localization.touch, localization.best.refined
-    draw_pose(axes, scene.object.mesh, scene.geometry, best.T_sensor_object, touch.T_sensor_object)
+    draw_pose(axes, DrawnScene.of(localization))
     handles: list[Any] = [Patch(fc=STEEL, ec=EDGE, lw=0.8, label="best pose")]
-    if touch.T_sensor_object is not None:
+    if localization.touch.T_sensor_object is not None:
         handles.append(Line2D([], [], color=TRUTH, lw=1.5, label="true pose"))
     _write_heading(panel, "the object on the sensor")
     panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.005), ncols=2, frameon=False, fontsize=9)
@@ -309,10 +309,8 @@ def draw_outline(axes: Axes, touch: Touch, colour: str = OUTLINE) -> None:
 
 def compute_extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, float]:
     """Return the image's borders (left, right, bottom, top) on the sensing surface, in mm; y points down."""
-    sx, sy = geometry.scale_at_surface
-    x0, x1 = -geometry.cx / sx, (geometry.width_px - geometry.cx) / sx
-    y0, y1 = -geometry.cy / sy, (geometry.height_px - geometry.cy) / sy
-    return 1e3 * x0, 1e3 * x1, 1e3 * y1, 1e3 * y0
+    left, right, bottom, top = find_extent_m(geometry)
+    return 1e3 * left, 1e3 * right, 1e3 * bottom, 1e3 * top
 
 
 def make_figure(width: float, height: float, constrained: bool = False) -> Figure:

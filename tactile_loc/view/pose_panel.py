@@ -12,30 +12,27 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.view.raytracing import Bounds, Buffers, Tracer, View, make_box, shade, shrink
+from tactile_loc.view.drawn_scene import EDGE, GEL, GEL_M, HOUSING, RIM_M, STEEL, TRUTH, DrawnScene
+from tactile_loc.view.raytracing import Bounds, Buffers, Tracer, Viewpoint, shade, shrink
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 
-STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)
-EDGE, TRUTH = "#16202c", "#e8590c"
 PIXELS, SUPERSAMPLE = 620, 2
 AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
 TICK_PT, VALUE_PT = 5.0, 12.0  # length of a tick, and distance of its value
 LABEL_PT, WIDER_PT = 27.0, 18.0  # distance of an axis's label: the second part is added where the text is beside it
-GEL_MM, RIM_MM = 1.5, 1.6  # drawn thickness of the gel, and drawn width of the housing around the gel
+GEL_MM, RIM_MM = 1e3 * GEL_M, 1e3 * RIM_M
 
 
-def draw_pose(
-    axes: Axes, mesh: TriangleMesh, geometry: SensorGeometry, T_estimate: Array, T_true: Array | None = None
-) -> None:
-    """Draw the sensor, the object at `T_estimate` (4, 4), and the object's edges at `T_true` (4, 4); metres."""
-    view = choose_view(mesh, T_estimate)
-    estimate = _pose_triangles(mesh, T_estimate)
-    truth = None if T_true is None else _pose_triangles(mesh, T_true)
-    floor = build_sensor_mm(geometry)
+def draw_pose(axes: Axes, scene: DrawnScene) -> None:
+    """Draw the first sensor of a scene, the object at its first pose, and the object's edges at the true pose."""
+    view = choose_view(scene.mesh, scene.poses[0])
+    sensor = scene.sensors[0]
+    estimate, floor = 1e3 * scene.object_m, [1e3 * sensor.gel_m, 1e3 * sensor.housing_m]
+    truth = None if scene.truth_m is None else 1e3 * scene.truth_m
     bounds = _fit_bounds(view, [s for s in (estimate, truth, *floor) if s is not None])
     shape = _choose_size(bounds)
     tracer = Tracer([estimate, *floor], view)
@@ -46,36 +43,25 @@ def draw_pose(
     if truth is not None:
         paint(image, thicken(Tracer([truth], view).look(bounds, shape).find_edges(0.04 * size_mm)), TRUTH, 0.95)
     axes.imshow(shrink(image, SUPERSAMPLE), extent=bounds, interpolation="antialiased", zorder=1)
-    _draw_axes(axes, view, geometry, _measure_height_mm(geometry, estimate, truth), _Picture(seen, bounds))
+    height_mm = _measure_height_mm(sensor.geometry, estimate, truth)
+    _draw_axes(axes, view, sensor.geometry, height_mm, _Picture(seen, bounds))
     axes.set(xlim=bounds[:2], ylim=bounds[2:], aspect="equal")
     axes.set_axis_off()
 
 
-def _pose_triangles(mesh: TriangleMesh, T: Array) -> Array:
-    return transform_points(T, mesh.vertices_m)[mesh.faces] * 1e3
-
-
-def build_sensor_mm(geometry: SensorGeometry) -> list[Array]:
-    """Return two boxes, the gel and its housing, each as triangles (12, 3, 3), mm, in the sensor frame."""
-    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    top = 1e3 * geometry.surface_m
-    rim, gel = RIM_MM, make_box((x0, x1), (y0, y1), (top - GEL_MM, top))
-    return [gel, make_box((x0 - rim, x1 + rim), (y0 - rim, y1 + rim), (top - 2.2 * GEL_MM, top - 0.4 * GEL_MM))]
-
-
-def choose_view(mesh: TriangleMesh, T: Array, elevation_deg: float = View.elevation_deg) -> View:
+def choose_view(mesh: TriangleMesh, T: Array, elevation_deg: float = Viewpoint.elevation_deg) -> Viewpoint:
     """Return the view that best shows both the object at T (4, 4), metres, and the sensor."""
     points = 1e3 * transform_points(T, mesh.vertices_m)
 
-    def rate(view: View) -> float:
+    def rate(view: Viewpoint) -> float:
         nearness_mm = float(view.axes[2, :2] @ points.mean(axis=0)[:2])
         shown = np.sqrt(max(np.linalg.det(np.cov(view.project(points).T)), 0.0))
         return float(shown * (1 - 0.4 * np.tanh(nearness_mm / 15)))
 
-    return max((View(azimuth_deg, elevation_deg) for azimuth_deg in AZIMUTHS_DEG), key=rate)
+    return max((Viewpoint(azimuth_deg, elevation_deg) for azimuth_deg in AZIMUTHS_DEG), key=rate)
 
 
-def _fit_bounds(view: View, surfaces: list[Array]) -> Bounds:
+def _fit_bounds(view: Viewpoint, surfaces: list[Array]) -> Bounds:
     flat = np.concatenate([view.project(s).reshape(-1, 2) for s in surfaces])
     (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
     margin = 0.17 * max(right - left, top - bottom)
@@ -126,7 +112,7 @@ class _Picture:
         return int((self.seen.surface[rows, columns] == 0).sum())
 
 
-def _draw_axes(axes: Axes, view: View, geometry: SensorGeometry, height_mm: float, picture: _Picture) -> None:
+def _draw_axes(axes: Axes, view: Viewpoint, geometry: SensorGeometry, height_mm: float, picture: _Picture) -> None:
     """Draw ticks for x and y along the nearest edges of the sensing rectangle, and ticks for z above a corner."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     z0 = 1e3 * geometry.surface_m
@@ -142,7 +128,7 @@ def _draw_axes(axes: Axes, view: View, geometry: SensorGeometry, height_mm: floa
 
 
 def _draw_height(
-    axes: Axes, view: View, rim_mm: list[float], base_mm: float, ticks: list[float], picture: _Picture
+    axes: Axes, view: Viewpoint, rim_mm: list[float], base_mm: float, ticks: list[float], picture: _Picture
 ) -> None:
     """Draw the z axis at the sensor's left or right corner, whichever the object covers less."""
     corners = [(x, y) for x in rim_mm[:2] for y in rim_mm[2:]]
@@ -167,7 +153,7 @@ def list_round_values(low: float, high: float, most: float = 6.0) -> list[float]
     return [float(k * step) for k in range(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)]
 
 
-def _draw_scale(axes: Axes, view: View, points: list[Any], values: list[float], outwards: Any, label: str) -> None:
+def _draw_scale(axes: Axes, view: Viewpoint, points: list[Any], values: list[float], outwards: Any, label: str) -> None:
     """Draw tick marks with their values at points (mm, sensor frame), and the axis's label next to the middle."""
     flat = view.project(np.array(points))
     direction = view.project(np.asarray(outwards, float))

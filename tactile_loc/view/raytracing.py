@@ -23,7 +23,7 @@ IN_SHADOW = 0.35  # share of the diffuse light in shadow
 
 
 @dataclass(frozen=True)
-class View:
+class Viewpoint:
     """A viewing direction.
 
     `azimuth_deg` is the viewer's angle about the sensor's z, from -y towards +x. `elevation_deg` is the viewer's angle
@@ -112,7 +112,7 @@ class Buffers:
 class Tracer:
     """Renders surfaces from a view. Each surface is an array of triangles (F, 3, 3), all in the same unit."""
 
-    def __init__(self, surfaces: list[Array], view: View) -> None:
+    def __init__(self, surfaces: list[Array], view: Viewpoint) -> None:
         self.view = view
         self._triangles = np.concatenate(surfaces)
         numbers = np.arange(len(surfaces), dtype=np.int32)
@@ -212,13 +212,6 @@ def compute_normals(triangles: Array) -> Array:
     a, b, c = np.moveaxis(triangles, 1, 0)
     normals = np.cross(b - a, c - a)
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
-
-
-def make_box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Array:
-    """Return the triangles (12, 3, 3) of an axis-aligned box."""
-    corners = np.array([(a, b, c) for c in z for b in y for a in x])
-    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    return corners[np.array([tri for a, b, c, d in quads for tri in ((a, b, c), (a, c, d))])]
 
 
 def _pair_neighbours(values: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:

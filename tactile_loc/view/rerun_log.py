@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -12,26 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import rotate_covariance
-from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import invert, rotation_to_quaternion_xyzw
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
-from tactile_loc.core.runtime.formatting import format_percent, is_unicode
-from tactile_loc.core.sensing.scene import Scene
+from tactile_loc.core.runtime.formatting import is_unicode
+from tactile_loc.core.sensing.scene import Scene, relate_sensors
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
-from tactile_loc.locate.result.result_arrays import find_most_probable, reduce_mesh
+from tactile_loc.locate.result.result_arrays import reduce_mesh
 from tactile_loc.store.files import require_writable, write_atomically
 from tactile_loc.tracking.replay import FrameRecord, ReplaySource
+from tactile_loc.view.drawn_scene import GEL, STEEL, DrawnScene, DrawnSensor, describe_located
 
 SENSOR = "base/sensor"
 OBJECT, HYPOTHESES, POSTERIOR, SPREAD = (f"{SENSOR}/{n}" for n in ("object", "hypotheses", "posterior", "uncertainty"))
-STEEL, GHOST, HIDDEN = (124, 159, 199, 255), (124, 159, 199, 50), (0, 0, 0, 0)
-GEL = (223, 225, 220)
-DEVIATIONS = 2.0  # standard deviations of an ellipsoid's half axes
+SOLID, GHOST, HIDDEN = 1.0, 0.2, 0.0  # opacity of a surface
 FLUSH_S = 30.0  # longest time for writing a frame to the disk
 MARK_M = 5e-4  # radius of the mark of the most probable pose
 
@@ -56,22 +52,6 @@ def _import_rerun() -> Any:
             "`rerun` needs rerun-sdk, which is not installed: pip install 'tactile-loc[view]'"
         ) from error
     return rerun
-
-
-@dataclass(frozen=True, eq=False)
-class Logged:
-    """One frame of a Rerun file. Missing parts are None.
-
-    `time_s` is the time in seconds since the start of the file. `image` is (H, W, 3). `says` is a text to show.
-    """
-
-    number: int
-    time_s: float
-    image: NDArray[np.uint8] | None = None
-    touch: Touch | None = None
-    located: LocatedFrame | None = None
-    posterior: PosePosterior | None = None
-    says: str = ""
 
 
 class RerunLog:
@@ -102,21 +82,24 @@ class RerunLog:
         if not self._refused:  # otherwise Rerun would wait for its writer forever
             self._stream.disconnect()
 
-    def add(self, frame: Logged) -> None:
-        """Add a frame. If the frame lacks an image, touch or pose, the viewer hides that of the frame before."""
-        self._stream.set_time("frame", sequence=frame.number)
-        self._stream.set_time("time", duration=frame.time_s)
-        self._add_touch(frame.image, frame.touch)
-        has_pose = frame.located is not None and len(frame.located.T_sensor_object_modes) > 0
-        if frame.located is not None and has_pose:
-            self._add_poses(frame.located)
+    def add(self, number: int, time_s: float, frame: DrawnScene) -> None:
+        """Add a frame of one sensor, `time_s` seconds after the start; poses are in the sensor's frame.
+
+        If the frame lacks an image, touch or pose, the viewer hides that of the frame before.
+        """
+        self._stream.set_time("frame", sequence=number)
+        self._stream.set_time("time", duration=time_s)
+        self._add_touch(frame.sensors[0])
+        has_pose = len(frame.poses) > 0
+        if has_pose:
+            self._add_poses(frame)
         else:
             self._log(SPREAD, self._rr.Clear(recursive=False))
-        for path, colour in ((OBJECT, STEEL), (HYPOTHESES, GHOST)):
-            self._show(path, has_pose, colour)
-        if frame.posterior is not None:
-            self._add_posterior(frame.posterior)
-        self._log("pose", self._rr.TextDocument(describe_pose(frame)))
+        for path, opacity in ((OBJECT, SOLID), (HYPOTHESES, GHOST)):
+            self._show(path, has_pose, opacity)
+        if len(frame.likely):
+            self._add_posterior(frame)
+        self._log("pose", self._rr.TextDocument(frame.text))
         self._flush()
 
     def _flush(self) -> None:
@@ -138,20 +121,24 @@ class RerunLog:
         self._stream.set_time("frame", sequence=0)
         self._stream.set_time("time", duration=0.0)
         for path in (f"{OBJECT}/surface", HYPOTHESES):
-            self._log(path, self._rr.Mesh3D(**shape, albedo_factor=HIDDEN))
+            self._log(path, self._rr.Mesh3D(**shape, albedo_factor=[*STEEL, HIDDEN]))
         x0, x1, y0, y1 = geometry.rectangle
-        gel = self._rr.Boxes3D(centers=[geometry.gel_middle_m], sizes=[[x1 - x0, y1 - y0, 0.0]], colors=[GEL])
+        gel = self._rr.Boxes3D(
+            centers=[geometry.gel_middle_m],
+            sizes=[[x1 - x0, y1 - y0, 0.0]],
+            colors=[GEL],
+        )
         self._log(f"{SENSOR}/gel", gel, static=True)
 
-    def _show(self, path: str, shown: bool, colour: tuple[int, int, int, int]) -> None:
+    def _show(self, path: str, shown: bool, opacity: float) -> None:
         """Show or hide a surface."""
         if self._shown.get(path, False) != shown:
             self._shown[path] = shown
             surface = f"{OBJECT}/surface" if path == OBJECT else path
-            self._log(surface, self._rr.Mesh3D.from_fields(albedo_factor=colour if shown else HIDDEN))
+            self._log(surface, self._rr.Mesh3D.from_fields(albedo_factor=[*STEEL, opacity if shown else HIDDEN]))
 
-    def _add_touch(self, image: NDArray[np.uint8] | None, touch: Touch | None) -> None:
-        rr, nothing = self._rr, self._rr.Clear(recursive=False)
+    def _add_touch(self, sensor: DrawnSensor) -> None:
+        rr, nothing, image, touch = self._rr, self._rr.Clear(recursive=False), sensor.image, sensor.touch
         self._log("image", nothing if image is None or image.ndim != 3 else rr.Image(image))
         shape = None if touch is None else touch.contact_shape
         self._log("contact_shape", nothing if shape is None else rr.DepthImage(shape.depth_m, meter=1.0))
@@ -161,52 +148,27 @@ class RerunLog:
     def _make_transform(self, T: NDArray[np.float64]) -> Any:
         return self._rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
-    def _add_poses(self, found: LocatedFrame) -> None:
-        rr, poses = self._rr, found.T_sensor_object_modes
+    def _add_poses(self, frame: DrawnScene) -> None:
+        rr, poses, ellipsoid = self._rr, frame.poses, frame.find_ellipsoid()
         self._log(OBJECT, self._make_transform(poses[0]))
         self._log(HYPOTHESES, rr.InstancePoses3D(translations=poses[:, :3, 3], mat3x3=poses[:, :3, :3]))
-        self._log(HYPOTHESES, rr.AnyValues(probability=found.probabilities))
-        self._log("plots/probability", rr.Scalars(found.probabilities[0]))
-        if not np.isnan(found.imprint_iou):
-            self._log("plots/imprint_iou", rr.Scalars(found.imprint_iou))
-        if found.covariance is None:
+        self._log(HYPOTHESES, rr.AnyValues(probability=frame.probabilities))
+        self._log("plots/probability", rr.Scalars(frame.probabilities[0]))
+        if not np.isnan(frame.imprint_iou):
+            self._log("plots/imprint_iou", rr.Scalars(frame.imprint_iou))
+        if ellipsoid is None:
             self._log(SPREAD, rr.Clear(recursive=False))
             return
-        self._log(SPREAD, self._make_ellipsoid(poses[0, :3, 3], found.covariance[:3, :3]))
-        self._log(SPREAD, rr.AnyValues(covariance=found.covariance.ravel()))
+        rotation = rr.Quaternion(xyzw=rotation_to_quaternion_xyzw(ellipsoid.axes))
+        centre, half = ellipsoid.centre_m, ellipsoid.half_axes_m
+        self._log(SPREAD, rr.Ellipsoids3D(centers=[centre], half_sizes=[half], quaternions=[rotation]))
+        self._log(SPREAD, rr.AnyValues(covariance=np.asarray(frame.covariances[0]).ravel()))
 
-    def _make_ellipsoid(self, centre_m: NDArray[np.float64], covariance: NDArray[np.float64]) -> Any:
-        """Return an ellipsoid of the position's uncertainty; its half axes are `DEVIATIONS` standard deviations."""
-        variances, R = np.linalg.eigh(covariance)
-        R[:, 0] *= np.sign(np.linalg.det(R))  # make the axes right-handed
-        half = DEVIATIONS * np.sqrt(np.maximum(variances, 0))
-        rotation = self._rr.Quaternion(xyzw=rotation_to_quaternion_xyzw(R))
-        return self._rr.Ellipsoids3D(centers=[centre_m], half_sizes=[half], quaternions=[rotation])
-
-    def _add_posterior(self, posterior: PosePosterior) -> None:
+    def _add_posterior(self, frame: DrawnScene) -> None:
         """Write the posterior's most probable poses as marks at the object's origin. Larger marks are more probable."""
-        kept = find_most_probable(posterior)
-        poses, p = posterior.grid.T_sensor_object[kept], posterior.probabilities[kept]
+        poses, p = frame.likely_poses, frame.likely
         self._log(POSTERIOR, self._rr.Points3D(poses[:, :3, 3], radii=MARK_M * np.sqrt(p / p.max())))
         self._log(POSTERIOR, self._rr.AnyValues(T_sensor_object=poses.reshape(-1), probability=p))
-
-
-def describe_pose(frame: Logged) -> str:
-    """Describe a frame's pose in words, in mm, degrees and per cent."""
-    found = frame.located
-    if found is None:
-        return frame.says
-    said = frame.says or found.says
-    if found.T_sensor_object is None:
-        return "\n".join(line for line in (found.word, said) if line)
-    words = format_pose_words(found.T_sensor_object, found.std)
-    std = "" if found.std is None else f"\nstd {words.place_std} mm; {words.turn_std} about x, y, z"
-    lines = (
-        f"{found.word}, {format_percent(float(found.probabilities[0]))}",
-        f"{words.place} mm, rotated {words.turn} about {words.axis}{std}",
-        said,
-    )
-    return "\n".join(line for line in lines if line)
 
 
 def write_localization(path: Path, localization: Localization, scene: Scene) -> Path:
@@ -218,11 +180,12 @@ def write_localization(path: Path, localization: Localization, scene: Scene) -> 
     def write(temporary: Path) -> None:
         first, located = localization.touch, LocatedFrame.of(localization)
         with RerunLog(temporary, scene) as log:
-            log.add(Logged(0, 0.0, first.image, first, located, localization.posterior, first.name))
+            drawn = DrawnScene.of(localization)
+            log.add(0, 0.0, replace(drawn, text=describe_located(located, first.name)))
             for number, touch in enumerate(localization.others, 1):
-                T_other_first = invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
-                seen = located.view_from(T_other_first)
-                log.add(Logged(number, float(number), touch.image, touch, seen, says=touch.name))
+                seen = located.view_from(relate_sensors(touch, first))
+                sensor = DrawnSensor.of(touch)
+                log.add(number, float(number), DrawnScene.of_frame(scene, seen, sensor, touch.name))
 
     return write_atomically(path, write)
 
@@ -239,7 +202,8 @@ def write_replay(path: Path, source: ReplaySource, records: Sequence[FrameRecord
             for record, frame in zip(records, source.read_frames(), strict=True):
                 time_s = 1e-9 * (record.stamp_ns - records[0].stamp_ns)
                 located = _locate_in_sensor(record, frame.T_base_sensor)
-                log.add(Logged(record.number, time_s, frame.image, frame.touch, located))
+                sensor = DrawnSensor(source.localizer.scene.geometry, touch=frame.touch, image=frame.image)
+                log.add(record.number, time_s, DrawnScene.of_frame(source.localizer.scene, located, sensor))
 
     return write_atomically(path, write)
 

@@ -175,10 +175,10 @@ def test_the_output_names_the_searched_side_of_the_object(cli, result):
 def test_the_advised_face_is_the_one_that_touches_in_a_certain_pose(turn_deg, side):
     T = np.eye(4)
     T[:3, :3] = rotation_about([1, 0, 0], np.radians(turn_deg))
-    record = SimpleNamespace(hypotheses=[SimpleNamespace(T_sensor_object=T.tolist())], verdict=Verdict.CERTAIN)
-    assert _name_side(record) == side
-    record.verdict = Verdict.NOT_FOUND
-    assert _name_side(record) == "SIDE"
+    found = SimpleNamespace(best=SimpleNamespace(T_sensor_object=T), verdict=Verdict.CERTAIN)
+    assert _name_side(found) == side
+    found.verdict = Verdict.NOT_FOUND
+    assert _name_side(found) == "SIDE"
 
 
 def test_result_files_are_written_under_a_lock(result):

@@ -9,7 +9,7 @@ from report_helpers import floats
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.reports import scene
 from tactile_loc.view.pose_panel import list_round_values
-from tactile_loc.view.raytracing import View
+from tactile_loc.view.raytracing import Viewpoint
 
 
 def test_a_box_has_twelve_creases(box):
@@ -30,7 +30,7 @@ def test_the_camera_sees_every_point():
     rng = np.random.default_rng(0)
     points = rng.uniform([-60, -10, 20], [30, 40, 60], (200, 3))
     bounds = [[-80.0, 50.0], [-30.0, 60.0], [0.0, 70.0]]
-    view = View(35.0, 28.0)
+    view = Viewpoint(35.0, 28.0)
     camera = scene.place_camera(points, bounds, view)
     unit, middle = np.prod(np.ptp(bounds, axis=1)) ** (1 / 3), np.mean(bounds, axis=1)
     eye, centre = ([camera[name][k] for k in "xyz"] for name in ("eye", "center"))
@@ -43,7 +43,7 @@ def test_the_camera_sees_every_point():
 
 
 def test_the_labels_around_the_pad_are_its_coordinates(flat_camera):
-    ticks = scene.list_pad_ticks(flat_camera, View(35.0, 28.0))
+    ticks = scene.list_pad_ticks(flat_camera, Viewpoint(35.0, 28.0))
     x0, x1, y0, y1 = (1e3 * v for v in flat_camera.rectangle)
     for x, y, text in zip(ticks["x"], ticks["y"], ticks["text"], strict=True):
         if "mm" in text:

@@ -21,8 +21,8 @@ def pair(localizer):
     return localize_together(observations[:1]), localize_together(observations)
 
 
-def test_both_sides_state_verdict_and_error(localizer, pair):
-    figure = draw_touching_again(*pair, localizer.scene, "a pin")
+def test_both_sides_state_verdict_and_error(pair):
+    figure = draw_touching_again(*pair, "a pin")
     shown = [text.get_text() for text in figure.findobj(plt.Text)]
     assert "a pin" in shown
     for found in pair:
@@ -31,11 +31,11 @@ def test_both_sides_state_verdict_and_error(localizer, pair):
     assert shown.count("touch 2") == 2  # a contact shape and a sensor
 
 
-def test_no_true_pose_is_drawn_if_it_is_unknown(localizer, pair):
+def test_no_true_pose_is_drawn_if_it_is_unknown(pair):
     unknown = [
         dataclasses.replace(found, touch=dataclasses.replace(found.touch, T_sensor_object=None)) for found in pair
     ]
-    figure = draw_touching_again(*unknown, localizer.scene, "a pin")
+    figure = draw_touching_again(*unknown, "a pin")
     shown = [text.get_text() for text in figure.findobj(plt.Text)]
     assert not any("true" in text or text.endswith(" off") for text in shown)
 

@@ -16,6 +16,7 @@ from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.locate.result.localization import Agreement
+from tactile_loc.view.drawn_scene import DrawnScene
 from tactile_loc.view.pictures import (
     MOST_TOGETHER,
     MOST_TOUCHES,
@@ -124,7 +125,7 @@ def test_the_panels_of_several_touches_do_not_overlap(localizer, localization, c
 def test_the_labels_of_the_pose_panel_do_not_overlap(localizer, localization, size):
     figure = make_figure(*size)
     axes = figure.add_axes((0.02, 0.075, 0.97, 0.815))
-    draw_pose(axes, localizer.object.mesh, localizer.scene.geometry, localization.best.T_sensor_object)
+    draw_pose(axes, dataclasses.replace(DrawnScene.of(localization), T_true=None))
     figure.canvas.draw()
     boxes = [(text.get_text(), text.get_window_extent()) for text in axes.texts]
     crossed = [(a, b) for (a, box), (b, other) in itertools.combinations(boxes, 2) if box.overlaps(other)]
@@ -171,7 +172,7 @@ def test_the_pose_panel_draws_estimate_and_truth_at_the_same_scale(localizer, lo
     pictures = []
     for estimate, truth in ((T, None), (T, T)):
         axes = Figure().add_subplot()
-        draw_pose(axes, localizer.object.mesh, localizer.scene.geometry, estimate, truth)
+        draw_pose(axes, dataclasses.replace(DrawnScene.of(localization), poses=estimate[None], T_true=truth))
         pictures.append(np.asarray(axes.get_images()[0].get_array()))
     blue, with_lines = pictures
     assert blue.shape == with_lines.shape  # the same pose: the same bounds

@@ -3,15 +3,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.view.raytracing import LIGHT, Tracer, View, make_box, shade, shrink
+from tactile_loc.view.drawn_scene import make_box
+from tactile_loc.view.raytracing import LIGHT, Tracer, Viewpoint, shade, shrink
 
-FRONT = View(azimuth_deg=0.0, elevation_deg=0.0)
+FRONT = Viewpoint(azimuth_deg=0.0, elevation_deg=0.0)
 BLOCK = make_box((-2, 2), (-1, 1), (0, 3))
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (35, 30), (-145, 60)])
 def test_the_view_is_a_rotation_with_z_up(azimuth, elevation):
-    axes = View(azimuth, elevation).axes
+    axes = Viewpoint(azimuth, elevation).axes
     assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(axes) == pytest.approx(1)
     assert axes[0, 2] == 0  # the horizon is level
@@ -20,7 +21,7 @@ def test_the_view_is_a_rotation_with_z_up(azimuth, elevation):
 
 def test_the_front_view_has_x_to_the_right_and_z_up():
     assert FRONT.project(np.array([1.0, 5.0, 2.0])) == pytest.approx([1.0, 2.0])
-    assert View(90.0, 0.0).project(np.array([1.0, 5.0, 2.0])) == pytest.approx([5.0, 2.0])  # from +x
+    assert Viewpoint(90.0, 0.0).project(np.array([1.0, 5.0, 2.0])) == pytest.approx([5.0, 2.0])  # from +x
 
 
 def test_a_box_has_the_right_area_and_volume():
@@ -47,13 +48,13 @@ def test_only_outlines_and_creases_are_edges():
     seen = Tracer([BLOCK], FRONT).look((-5, 5, -1, 6), (70, 100))
     marked = seen.find_edges(jump=0.1)
     assert marked.sum() == pytest.approx(2 * (40 + 30), abs=6)
-    corner = Tracer([BLOCK], View(45.0, 0.0)).look((-5, 5, -1, 6), (70, 100))
+    corner = Tracer([BLOCK], Viewpoint(45.0, 0.0)).look((-5, 5, -1, 6), (70, 100))
     assert corner.find_edges(jump=0.5)[35].sum() == 3  # left, the corner between two faces, right
 
 
 def test_a_shadow_lies_opposite_the_light():
     floor = make_box((-20, 20), (-20, 20), (-1, 0))
-    tracer = Tracer([make_box((-1, 1), (-1, 1), (4, 6)), floor], View(0.0, 89.0))
+    tracer = Tracer([make_box((-1, 1), (-1, 1), (4, 6)), floor], Viewpoint(0.0, 89.0))
     seen = tracer.look((-20, 20, -20, 20), (200, 200))
     dark = seen.points[(tracer.cast_shadow(seen, 0.01) & (seen.surface == 1))[seen.hit]]
     assert dark.mean(axis=0)[:2] == pytest.approx(-5 * LIGHT[:2] / LIGHT[2], abs=0.6)

@@ -15,7 +15,8 @@ from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.view.rerun_log import DEVIATIONS, Logged, RerunLog, describe_pose, require_rerun, write_localization
+from tactile_loc.view.drawn_scene import DEVIATIONS, DrawnScene, DrawnSensor, describe_located
+from tactile_loc.view.rerun_log import RerunLog, require_rerun, write_localization
 
 T = make_transform(rotation_about([1, 2, 3], 0.8), [0.001, -0.002, 0.03])
 C = np.diag(np.square([1e-4, 3e-4, 2e-4, 0.01, 0.02, 0.03]))
@@ -34,8 +35,9 @@ def test_rerun_reads_the_logged_entries(rerun, localizer, tmp_path):
     touch = replace(localizer.simulate(1, seed=0)[0], T_base_sensor=make_transform(np.eye(3), [0.4, 0, 0.1]))
     photo = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
     with RerunLog(tmp_path / "a.rrd", localizer.scene) as log:
-        log.add(Logged(3, 0.0, photo, touch, located()))
-        log.add(Logged(5, 0.5, says="no contact"))
+        sensor = DrawnSensor(touch.geometry, touch=touch, image=photo)
+        log.add(3, 0.0, DrawnScene.of_frame(localizer.scene, located(), sensor))
+        log.add(5, 0.5, DrawnScene.of_frame(localizer.scene, None, text="no contact"))
     found = read(tmp_path / "a.rrd")
     poses = found["base/sensor/object"]
     np.testing.assert_allclose(poses["Transform3D:translation"][0][0], T[:3, 3], atol=1e-7)
@@ -76,7 +78,7 @@ def test_the_ellipsoid_has_the_rotation_of_the_covariance(rerun, localizer, tmp_
     turned = C.copy()
     turned[:3, :3] = R @ C[:3, :3] @ R.T
     with RerunLog(tmp_path / "a.rrd", localizer.scene) as log:
-        log.add(Logged(0, 0.0, located=replace(located(), covariance=turned)))
+        log.add(0, 0.0, DrawnScene.of_frame(localizer.scene, replace(located(), covariance=turned)))
     from tactile_loc.core.geometry.rigid import quaternion_to_rotation
 
     found = read(tmp_path / "a.rrd")["base/sensor/uncertainty"]
@@ -87,9 +89,9 @@ def test_the_ellipsoid_has_the_rotation_of_the_covariance(rerun, localizer, tmp_
 
 
 def test_the_text_of_a_frame_needs_no_pose_and_no_covariance():
-    assert describe_pose(Logged(0, 0.0, says="no contact")) == "no contact"
-    assert describe_pose(Logged(0, 0.0, located=LocatedFrame(None, says="damaged"))) == "refused\ndamaged"
-    assert "std" not in describe_pose(Logged(0, 0.0, located=replace(located(), covariance=None)))
+    assert describe_located(None, "no contact") == "no contact"
+    assert describe_located(LocatedFrame(None, says="damaged")) == "refused\ndamaged"
+    assert "std" not in describe_located(replace(located(), covariance=None))
 
 
 def test_an_unusable_rerun_file_is_refused_before_the_run(rerun, tmp_path, monkeypatch):
@@ -112,4 +114,4 @@ def test_a_full_disk_gives_a_one_sentence_error(rerun, localizer, tmp_path, monk
     with RerunLog(tmp_path / "a.rrd", localizer.scene) as log, monkeypatch.context() as patch:
         patch.setattr(log._stream, "flush", full)
         with pytest.raises(OutputError, match=naming("a.rrd", "`rerun`")):
-            log.add(Logged(0, 0.0))
+            log.add(0, 0.0, DrawnScene.of_frame(localizer.scene, None))

@@ -168,7 +168,8 @@ def _write_results(out: Path) -> Iterator[Show]:
 @contextmanager
 def _log_results(localizer: Localizer, path: Path) -> Iterator[Show]:
     """Write results to a Rerun file."""
-    from tactile_loc.view.rerun_log import Logged, RerunLog
+    from tactile_loc.view.drawn_scene import DrawnScene, DrawnSensor
+    from tactile_loc.view.rerun_log import RerunLog
 
     start_s: list[float] = []
     with RerunLog(path, localizer.scene) as log:
@@ -177,7 +178,8 @@ def _log_results(localizer: Localizer, path: Path) -> Iterator[Show]:
             frame = result.frame
             start_s[:] = start_s or [frame.time_s]
             time_s = frame.time_s - start_s[0]
-            log.add(Logged(frame.number, time_s, frame.image, result.touch, result.located))
+            sensor = DrawnSensor(localizer.scene.geometry, touch=result.touch, image=frame.image)
+            log.add(frame.number, time_s, DrawnScene.of_frame(localizer.scene, result.located, sensor))
 
         yield show
 

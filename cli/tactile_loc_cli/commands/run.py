@@ -205,7 +205,7 @@ def _write_result(
         errors_m = localization.measure_errors_m(scene.object)
         figure = draw_result(localization, scene, make_title(localization), errors_m)
     else:
-        figure = draw_touching_again(alone, localization, scene, make_title(localization))
+        figure = draw_touching_again(alone, localization, make_title(localization))
     with lock_folder(out):
         written = [*localization.write_files(out), save_figure(out / "result.png", figure)]
         if page:

@@ -6,13 +6,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc import Localization, ObjectModel, RatedApproach, SensorGeometry, Touch, TriangleMesh, simplify_mesh
+from tactile_loc import (
+    DrawnScene,
+    DrawnSensor,
+    Localization,
+    ObjectModel,
+    RatedApproach,
+    SensorGeometry,
+    Touch,
+    TriangleMesh,
+    simplify_mesh,
+)
 from tactile_loc.plugin import invert, make_transform, make_translation, quaternion_to_rotation, rotation_to_quaternion
-from tactile_loc.reports.scene import trace_outlines_mm
-from tactile_loc.view.pose_panel import build_sensor_mm
 
 from tactile_loc_app.pictures import colour_probability
-from tactile_loc_app.session import list_poses
 from tactile_loc_app.virtual_finger import Pose, Press
 
 if TYPE_CHECKING:
@@ -23,7 +30,8 @@ MOST_FACES = 20_000  # triangles of the object in the view
 STEEL, GEL, HOUSING, TOUCHED = (150, 158, 168), (92, 158, 230), (60, 66, 74), (224, 49, 49)
 NEXT, EXPECTED = (43, 138, 62), (214, 170, 40)
 LARGEST_M = 2e-3  # half axis of a drawn ellipsoid, at most; a small ellipsoid is magnified by a power of ten
-SIGMAS = 2.0
+SIGMAS = 2.0  # standard deviations of the half axes of ellipsoids in a DrawnScene
+MOST_LIKELY = 500  # drawn poses of the posterior
 PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}  # shadows slow down a view without a GPU
 LEAST_SHOWN = 0.01  # probability of a hypothesis that is drawn although it is not chosen
 NEAR, FAR = 0.1, 500.0  # range that the camera of the view sees, in units of the view
@@ -122,7 +130,7 @@ class SceneView:
 
     def _add_box(self, name: str, geometry: SensorGeometry, colour: tuple[int, int, int], opacity: float) -> None:
         """Add a sensor's housing, which lies behind the gel, in the sensor frame."""
-        housing = np.asarray(build_sensor_mm(geometry)[1], np.float32).reshape(-1, 3) * (1e-3 * UNITS_PER_M)
+        housing = np.asarray(UNITS_PER_M * DrawnSensor(geometry).housing_m, np.float32).reshape(-1, 3)
         housing[:, 2] -= 1e-3 * UNITS_PER_M * 2  # behind the deepest point of a pressed gel
         faces = np.arange(len(housing), dtype=np.uint32).reshape(-1, 3)
         self.scene.add_mesh_simple(
@@ -139,7 +147,7 @@ class SceneView:
                 continue
             name = f"/touches/{number}"
             self.scene.add_frame(name, show_axes=False, **to_view(touch.T_base_sensor))
-            lines = [1e-3 * UNITS_PER_M * line for line in trace_outlines_mm(touch.contact_shape, touch.geometry)]
+            lines = [UNITS_PER_M * line for line in DrawnSensor.of(touch).outlines_m]
             pairs = [np.stack([line[:-1], line[1:]], axis=1) for line in lines]
             if pairs:
                 self.scene.add_line_segments(
@@ -160,42 +168,37 @@ class SceneView:
         """
         self.clear_result()
         self._object.visible = all(touch.T_sensor_object is not None for touch in found.touches)
-        most = max(h.probability for h in found.hypotheses)
-        for number, (T, hypothesis) in enumerate(zip(list_poses(found), found.hypotheses, strict=True)):
-            if self._mesh is not None and (number == chosen or hypothesis.probability >= LEAST_SHOWN):
-                colour = colour_probability(hypothesis.probability, most)
+        drawn = DrawnScene.of(found, in_base=True)
+        for number, (T, probability) in enumerate(zip(drawn.poses, drawn.probabilities, strict=True)):
+            if self._mesh is not None and (number == chosen or probability >= LEAST_SHOWN):
+                colour = colour_probability(float(probability), float(drawn.probabilities.max()))
                 look = {"scale": COVERING} if number == chosen else {"opacity": 0.12}
                 self._add_mesh(f"/poses/{number}", self._mesh, colour, **look, **to_view(T))
-        self._show_cloud(found)
-        self._show_ellipsoid(found, chosen)
+        self._show_cloud(drawn)
+        self._show_ellipsoid(drawn, chosen)
 
-    def _show_cloud(self, found: Localization) -> None:
+    def _show_cloud(self, drawn: DrawnScene) -> None:
         """Draw the middle of the object at the most probable poses of the posterior."""
-        p = found.posterior.probabilities
-        best = np.argsort(-p)[:500]
-        T = found.posterior.grid.T_sensor_object[best]
-        if found.touch.T_base_sensor is not None:
-            T = found.touch.T_base_sensor @ T
-        places = T[:, :3, :3] @ found.object.mesh.centroid_m + T[:, :3, 3]
-        colours = np.array([colour_probability(float(one), float(p[best[0]])) for one in p[best]], np.uint8)
+        T, p = drawn.likely_poses[:MOST_LIKELY], drawn.likely[:MOST_LIKELY]
+        places = T[:, :3, :3] @ drawn.mesh.centroid_m + T[:, :3, 3]
+        colours = np.array([colour_probability(float(one), float(p[0])) for one in p], np.uint8)
         self.scene.add_point_cloud(
             "/cloud", np.asarray(UNITS_PER_M * places, np.float32), colours, point_size=0.06, point_shape="circle"
-        )  # fmt: skip
+        )
 
-    def _show_ellipsoid(self, found: Localization, chosen: int) -> None:
-        hypothesis = found.hypotheses[chosen]
-        in_base = hypothesis.T_base_object is not None
-        covariance = hypothesis.base_covariance if in_base else hypothesis.covariance
-        if covariance is None:
+    def _show_ellipsoid(self, drawn: DrawnScene, chosen: int) -> None:
+        covariance, ellipsoid = drawn.covariances[chosen], drawn.find_ellipsoid(chosen)
+        if covariance is None or ellipsoid is None:
             return
-        variances, axes = np.linalg.eigh(covariance[:3, :3])
-        half_m = SIGMAS * np.sqrt(np.maximum(variances, 0.0)) * choose_magnification(covariance)
-        axes = axes * np.sign(np.linalg.det(axes))
-        T = make_transform(axes, list_poses(found)[chosen][:3, 3])
+        half_m = ellipsoid.half_axes_m * choose_magnification(covariance)
         self.scene.add_icosphere(
-            "/ellipsoid", 1.0, (230, 73, 128), scale=tuple(float(UNITS_PER_M * max(v, 1e-5)) for v in half_m),
-            opacity=0.6, **to_view(T),
-        )  # fmt: skip
+            "/ellipsoid",
+            1.0,
+            (230, 73, 128),
+            scale=tuple(float(UNITS_PER_M * max(v, 1e-5)) for v in half_m),
+            opacity=0.6,
+            **to_view(make_transform(ellipsoid.axes, ellipsoid.centre_m)),
+        )
 
     def show_next(self, rated: RatedApproach, geometry: SensorGeometry) -> None:
         """Draw the sensor at the start of the next touch, and a line along its way."""
