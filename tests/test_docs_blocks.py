@@ -7,6 +7,7 @@ shorter training. The blocks of some pages have separate tests, which ELSEWHERE 
 from __future__ import annotations
 
 import csv
+import json
 import re
 import shlex
 import shutil
@@ -144,7 +145,7 @@ def furnished(tmp_path_factory, store) -> Path:
     numbers = ",".join(map(str, (*pose.position_m, *pose.quaternion_xyzw)))
     (folder / "poses.csv").write_text(f"file,x_m,y_m,z_m,qx,qy,qz,qw\n0.npz,{numbers}\n")
     (frame,) = ImageFolder(folder / "touches", every=True).read_frames()
-    (folder / "found.jsonl").write_text(LiveLocator(localizer).locate(frame).record.model_dump_json() + "\n")
+    (folder / "found.jsonl").write_text(json.dumps(LiveLocator(localizer).locate(frame).to_json()) + "\n")
     write_slide(folder / "drive.mcap", draw_random_slide(localizer, 3, seed=0))
     (folder / "poses.toml").write_text(
         "".join(

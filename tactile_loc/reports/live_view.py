@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,15 +11,16 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.runtime.formatting import format_percent
+from tactile_loc.core.runtime.formatting import format_percent, show_name
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.result_arrays import reduce_mesh
 from tactile_loc.locate.result.verdict import explain_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.page import Page, Section
-from tactile_loc.tracking.live import LiveRecord, LiveResult
+from tactile_loc.tracking.live import LiveResult
 from tactile_loc.view.drawn_scene import DrawnSensor
 from tactile_loc.view.pose_panel import choose_view
 
@@ -38,13 +40,14 @@ NOTHING = "-"
 def make_live_page(localizer: Localizer, about: str) -> Page:
     """Return the page that shows frames as they arrive; `about` names the frames' source."""
     geometry, mesh = localizer.sensor.geometry, reduce_mesh(localizer.object.mesh)
-    frame = pictures.Frame.of(geometry)
+    frame = pictures.ImageBorders.of(geometry)
     numbers = {"numbers": NUMBERS, "frame": frame}
     data = {
-        "mesh": scene.pack_mesh(mesh), "pad": scene.build_pad(DrawnSensor(geometry)),
+        "mesh": scene.pack_mesh(mesh),
+        "pad": scene.build_pad(DrawnSensor(geometry)),
         "bounds": _compute_bounds(mesh, geometry),
         "camera": _place_camera(mesh, geometry, _place_above(mesh, geometry)),
-    }  # fmt: skip
+    }
     title = f"{localizer.object.name}, live"
     return Page("live", title, about, [Section("now", "", numbers)], data, ["solids.js", "live.js"], connects=True)
 
@@ -63,13 +66,13 @@ def render_shape(result: LiveResult, localizer: Localizer) -> ContactShape | Non
 
 def describe_frame(result: LiveResult, made: ContactShape | None, localizer: Localizer) -> dict[str, Any]:
     """Return the page's state for a frame, as JSON values. `made` is the contact shape predicted by its pose."""
-    geometry, record, touch = localizer.sensor.geometry, result.record, result.touch
+    geometry, touch = localizer.sensor.geometry, result.touch
     shape = None if touch is None else touch.contact_shape
     T = result.located.T_sensor_object
     image = result.frame.image
     return {
-        "number": record.number,
-        "texts": _write_texts(record, result.rate_hz),
+        "number": result.frame.number,
+        "texts": _write_texts(result),
         "pictures": [
             None if image is None else pictures.encode_photo(image),
             None if shape is None else pictures.draw_shape(shape, geometry),
@@ -83,28 +86,34 @@ def describe_frame(result: LiveResult, made: ContactShape | None, localizer: Loc
     }
 
 
-def _write_texts(record: LiveRecord, rate_hz: float) -> dict[str, str]:
+def _write_texts(result: LiveResult) -> dict[str, str]:
     """Return the text of each element of the page, by the element's name."""
-    shares = {"probability": record.probability, "imprint": record.imprint_iou}
+    located, frame = result.located, result.frame
+    iou = None if math.isnan(located.imprint_iou) else located.imprint_iou
+    shares = {"probability": located.probability, "imprint": iou}
     return {
-        "says": record.says or record.name, "verdict": record.word,
-        "verdict-more": explain_verdict(record.verdict),
+        "says": located.says or show_name(frame.name),
+        "verdict": located.word,
+        "verdict-more": explain_verdict(located.verdict),
         **{name: NOTHING if share is None else format_percent(share) for name, share in shares.items()},
-        **_write_pose(record), "rate": f"{rate_hz:.1f} Hz" if rate_hz else NOTHING,
-        "rate-more": f"{record.number + 1} frames, {record.dropped} dropped for newer ones",
-    }  # fmt: skip
+        **_write_pose(located),
+        "rate": f"{result.rate_hz:.1f} Hz" if result.rate_hz else NOTHING,
+        "rate-more": f"{frame.number + 1} frames, {result.dropped} dropped for newer ones",
+    }
 
 
-def _write_pose(record: LiveRecord) -> dict[str, str]:
+def _write_pose(located: LocatedFrame) -> dict[str, str]:
     """Return texts that describe the object's pose and its standard deviations, in mm and degrees."""
-    if record.T_sensor_object is None:
+    if located.T_sensor_object is None:
         return {"place": NOTHING, "place-more": "", "turn": NOTHING, "turn-more": ""}
-    words = format_pose_words(np.array(record.T_sensor_object), record.std)
-    std = "" if record.std is None else f"; std {words.turn_std} about x, y, z"
+    words = format_pose_words(located.T_sensor_object, located.std)
+    std = "" if located.std is None else f"; std {words.turn_std} about x, y, z"
     return {
-        "place": words.place, "place-more": words.place_std and f"std {words.place_std} mm",
-        "turn": words.turn, "turn-more": f"about {words.axis}{std}",
-    }  # fmt: skip
+        "place": words.place,
+        "place-more": words.place_std and f"std {words.place_std} mm",
+        "turn": words.turn,
+        "turn-more": f"about {words.axis}{std}",
+    }
 
 
 def _compute_bounds(mesh: TriangleMesh, geometry: SensorGeometry) -> list[list[float]]:

@@ -32,7 +32,7 @@ WIDEST_PX, COLOURS = 1400, 255  # largest width and number of colours of an eval
 
 
 @dataclass(frozen=True)
-class Frame:
+class ImageBorders:
     """The borders of a sensor's image on the sensing surface, in mm; y points down."""
 
     left: float
@@ -41,7 +41,7 @@ class Frame:
     top: float
 
     @classmethod
-    def of(cls, geometry: SensorGeometry) -> Frame:
+    def of(cls, geometry: SensorGeometry) -> ImageBorders:
         """Return the frame of a sensor's images."""
         return cls(*compute_extent_mm(geometry))
 

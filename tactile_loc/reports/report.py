@@ -56,9 +56,12 @@ def make_page(source: Source) -> Page:
     from tactile_loc.reports import evaluation, recall, run, sweep
 
     makers = {
-        "run": run.make_run_page, "evaluation": evaluation.make_evaluation_page,
-        "contacts": evaluation.make_contacts_page, "recall": recall.make_recall_page, "sweep": sweep.make_sweep_page,
-    }  # fmt: skip
+        "run": run.make_run_page,
+        "evaluation": evaluation.make_evaluation_page,
+        "contacts": evaluation.make_contacts_page,
+        "recall": recall.make_recall_page,
+        "sweep": sweep.make_sweep_page,
+    }
     with name_damage(source.path):
         page = makers[source.kind](source.path)
         json.dumps(page.data, **JSON_OPTIONS)  # raises for a number that is not finite

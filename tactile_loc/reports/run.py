@@ -195,7 +195,7 @@ def _describe_touch(found: Localization, number: int) -> dict[str, Any]:
         "name": touch.name,
         "explained": f"{100 * imprint_iou:.0f} % (another pose: {100 * best[number]:.0f} %)" if best else "",
         "outlier": number in found.agreement.outliers,
-        "frame": pictures.Frame.of(touch.geometry),
+        "frame": pictures.ImageBorders.of(touch.geometry),
         "outline": pictures.trace_outline(touch.contact_shape, touch.geometry),
         "picture": pictures.draw_shape(touch.contact_shape, touch.geometry),
         "photo": None if touch.image is None else pictures.encode_photo(touch.image),

@@ -5,20 +5,19 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from tactile_loc.core.runtime.errors import NoContactError, TactileLocError
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.json_keys import Key, Keys, write_keys
 from tactile_loc.io.streams.frame_sources import SourceFrame
 from tactile_loc.io.streams.sensor_tracks import SensorTrack
-from tactile_loc.io.toml import Matrix
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
+from tactile_loc.locate.result.located_frame import LOCATED, LocatedFrame, count_frames
 from tactile_loc.locate.result.verdict import Verdict, explain_verdict
 from tactile_loc.tracking.tracker import Tracker
 
@@ -27,14 +26,15 @@ Floats = NDArray[np.float64]
 RECENT = 20  # the frame rate is computed from this number of latest frames
 
 
-class LiveRecord(LocatedRecord):
-    """One frame and its result: one line in the file of a live run. SI units."""
-
-    name: str = Field(description="of the frame's file, or made from its number")
-    time_s: float = Field(description="when it was taken: since 1970; in a video, since its start; s")
-    T_sensor_object: Matrix | None = Field(default=None, description="the most probable pose, (4, 4), m")
-    seconds: float = Field(description="time to read and locate it")
-    dropped: int = Field(description="frames dropped so far, because newer ones had come")
+LIVE: Keys = {  # one line in the file of a live run, in SI units
+    "number": Key("integer", "number of the frame in its source, from 0"),
+    **LOCATED,
+    "name": Key("text", "of the frame's file, or made from its number"),
+    "time_s": Key("number", "when it was taken: since 1970; in a video, since its start; s"),
+    "T_sensor_object": Key("4 x 4 numbers or null", "the most probable pose, m"),
+    "seconds": Key("number", "time to read and locate it"),
+    "dropped": Key("integer", "frames dropped so far, because newer ones had come"),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,19 +51,11 @@ class LiveResult:
     dropped: int
     rate_hz: float
 
-    @cached_property
-    def record(self) -> LiveRecord:
-        """The frame as one line in the file of a live run."""
-        T = self.located.T_sensor_object
-        return LiveRecord(
-            number=self.frame.number,
-            name=show_name(self.frame.name),
-            time_s=self.frame.time_s,
-            seconds=self.located.seconds,
-            dropped=self.dropped,
-            T_sensor_object=None if T is None else T.tolist(),
-            **record_fields(self.located),
-        )
+    def to_json(self) -> dict[str, Any]:
+        """Return the frame as one line in the file of a live run, as JSON values."""
+        frame, located = self.frame, self.located
+        name = show_name(frame.name)
+        return write_keys(LIVE, located, number=frame.number, name=name, time_s=frame.time_s, dropped=self.dropped)
 
 
 @dataclass(eq=False)

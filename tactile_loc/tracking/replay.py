@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.runtime.errors import (
@@ -25,13 +24,13 @@ from tactile_loc.core.runtime.errors import (
 )
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.json_keys import Key, Keys, read_keys, write_keys
 from tactile_loc.io.streams.recordings import Message, Recording
 from tactile_loc.io.streams.ros_messages import Topic, decode_image, read_stamp_ns
 from tactile_loc.io.streams.sensor_tracks import SensorTrack, read_time_s
-from tactile_loc.io.toml import Matrix
 from tactile_loc.io.touches import list_touches, read_touch, touch_from_image
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.located_frame import LocatedFrame, LocatedRecord, count_frames, record_fields
+from tactile_loc.locate.result.located_frame import LOCATED, LocatedFrame, count_frames
 from tactile_loc.locate.result.verdict import Verdict, explain_verdict
 
 log = logging.getLogger(__name__)
@@ -39,19 +38,54 @@ log = logging.getLogger(__name__)
 Estimator = Callable[[Touch], LocatedFrame]  # locates a touch with a localizer or a tracker
 
 
-class FrameRecord(LocatedRecord):
-    """One image of the recording and its result. SI units. `number` counts the images of the topic from 0."""
+REPLAYED: Keys = {  # one image in the files of a replay, in SI units
+    "number": Key("integer", "number of the image on its topic or in its folder, from 0"),
+    **LOCATED,
+    "name": Key("text", "the image's file; empty for a recording"),
+    "stamp_ns": Key("integer", "the image's stamp, ns"),
+    "log_time_ns": Key("integer", "when the image was logged, ns"),
+    "frame": Key("text", "the frame that the pose is in"),
+    "T_frame_object": Key("4 x 4 numbers or null", "the object's pose in it, m"),
+}
 
-    name: str = Field(default="", description="the image's file; empty for a recording")
-    stamp_ns: int = Field(description="the image's stamp, ns")
-    log_time_ns: int = Field(description="when the image was logged, ns")
-    frame: str = Field(description="the frame that the pose is in")
-    T_frame_object: Matrix | None = Field(default=None, description="the object's pose in it, (4, 4), m")
+
+@dataclass(frozen=True, eq=False)
+class ReplayedFrame:
+    """The result of one image of a replay. `located` has poses in the frame with the name `frame`, not the sensor's.
+
+    `number` counts the images from 0. `name` is the image's file; it is empty for a recording.
+    """
+
+    number: int
+    stamp_ns: int
+    log_time_ns: int
+    frame: str
+    located: LocatedFrame
+    name: str = ""
+
+    @classmethod
+    def of(cls, image: ReplayFrame, located: LocatedFrame) -> ReplayedFrame:
+        """Make the result of an image from its result in the sensor's frame."""
+        moved = located if image.T_base_sensor is None else located.view_from(image.T_base_sensor)
+        return cls(image.number, image.stamp_ns, image.log_time_ns, image.frame, moved, show_name(image.name))
 
     @property
-    def T(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
-        """The object's pose (4, 4), metres, in `frame`. Use it only if the object was located."""
-        return np.array(self.T_frame_object)
+    def T_frame_object(self) -> NDArray[np.float64] | None:  # noqa: N802 - the transform's name
+        """The object's pose (4, 4), metres, in `frame`; None if there is no pose."""
+        return self.located.T_sensor_object
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the values of REPLAYED, as JSON values."""
+        return write_keys(REPLAYED, self, **self.located.to_json())
+
+    @classmethod
+    def of_json(cls, document: Any) -> ReplayedFrame:
+        """Make a result from the values of REPLAYED. Raises ValueError."""
+        values = read_keys(REPLAYED, document)
+        located = LocatedFrame.of_json(values, values["T_frame_object"])
+        return cls(
+            values["number"], values["stamp_ns"], values["log_time_ns"], values["frame"], located, values["name"]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +149,13 @@ class Replay:
             "kind": self.kind,
         }
 
-    def frames(self, estimator: Estimator, first: int = 0) -> Iterator[FrameRecord]:
+    def frames(self, estimator: Estimator, first: int = 0) -> Iterator[ReplayedFrame]:
         """Yield the results of the images from number `first` on.
 
         Raises RecordingError for images that cannot be read at all, and FrameError if the frames are not connected.
         """
         for frame in self.read_frames(first):
-            yield make_frame_record(frame, estimate(frame, estimator))
+            yield ReplayedFrame.of(frame, estimate(frame, estimator))
 
     def read_frames(self, first: int = 0) -> Iterator[ReplayFrame]:
         """Yield the images from number `first` on, in order, each with its touch.
@@ -263,21 +297,6 @@ def estimate(frame: ReplayFrame, estimator: Estimator) -> LocatedFrame:
         return LocatedFrame.of_error(error)
 
 
-def make_frame_record(frame: ReplayFrame, located: LocatedFrame) -> FrameRecord:
-    """Return the record of a frame from its result in the sensor's frame."""
-    moved = located if frame.T_base_sensor is None else located.view_from(frame.T_base_sensor)
-    T = moved.T_sensor_object
-    return FrameRecord(
-        number=frame.number,
-        name=show_name(frame.name),
-        stamp_ns=frame.stamp_ns,
-        log_time_ns=frame.log_time_ns,
-        frame=frame.frame,
-        T_frame_object=None if T is None else T.tolist(),
-        **record_fields(moved),
-    )
-
-
 class ReplaySource(Protocol):
     """Images in order, to be located with a localizer: a `Replay` or a `FolderReplay`."""
 
@@ -316,20 +335,21 @@ class ReplaySummary:
     jumps_back: int
 
     @classmethod
-    def of(cls, records: Iterable[FrameRecord]) -> ReplaySummary:
+    def of(cls, records: Iterable[ReplayedFrame]) -> ReplaySummary:
         """Count the frames' results, and the frames whose stamp is earlier than the stamp of the frame before."""
         records = list(records)
-        without = (one for one in records if one.T_frame_object is None and one.verdict is not Verdict.NO_CONTACT)
-        reasons = Counter(record.says or explain_verdict(record.verdict) for record in without)
+        found = [record.located for record in records]
+        without = (one for one in found if one.T_sensor_object is None and one.verdict is not Verdict.NO_CONTACT)
+        reasons = Counter(one.says or explain_verdict(one.verdict) for one in without)
         stamps = np.array([record.stamp_ns for record in records])
         return cls(
-            **count_frames(record.verdict for record in records),
+            **count_frames(one.verdict for one in found),
             reasons=tuple(reasons.most_common()),
             jumps_back=int((np.diff(stamps) < 0).sum()),
         )
 
 
-def require_located(source: ReplaySource, records: Sequence[FrameRecord], summary: ReplaySummary) -> None:
+def require_located(source: ReplaySource, records: Sequence[ReplayedFrame], summary: ReplaySummary) -> None:
     """Raise RecordingError, with the most frequent reason, if no frame has a pose."""
     if any(record.T_frame_object is not None for record in records):
         return

@@ -19,12 +19,11 @@ from tactile_loc.store.files import write_json
 from tactile_loc.tracking.replay import (
     Estimator,
     FolderReplay,
-    FrameRecord,
     Replay,
+    ReplayedFrame,
     ReplaySource,
     ReplaySummary,
     estimate,
-    make_frame_record,
     require_located,
 )
 from tactile_loc.tracking.replay_journal import open_journal
@@ -61,7 +60,7 @@ class Replayed:
     object at rest, if it was requested.
     """
 
-    records: Sequence[FrameRecord]
+    records: Sequence[ReplayedFrame]
     summary: ReplaySummary
     written: tuple[Path, ...]
     resumed: int = 0
@@ -112,7 +111,7 @@ def locate_each_to(
         with source.localizer.progress.task(f"locating the {source.about}", frames) as advance:
             advance(resumed)
             for frame in source.read_frames(resumed):
-                kept.append(make_frame_record(frame, estimate(frame, locate)))
+                kept.append(ReplayedFrame.of(frame, estimate(frame, locate)))
                 advance(1)
         done = _write(out, source, kept.records)
         path.unlink()
@@ -144,7 +143,7 @@ def fuse_to(out: ReplayOutput, source: ReplaySource) -> Replayed:
 
 
 def _write(
-    out: ReplayOutput, source: ReplaySource, records: Sequence[FrameRecord], more: dict[str, Any] | None = None
+    out: ReplayOutput, source: ReplaySource, records: Sequence[ReplayedFrame], more: dict[str, Any] | None = None
 ) -> Replayed:
     """Write the files of a replay."""
     summary = ReplaySummary.of(records)
@@ -156,15 +155,17 @@ def _write(
     return Replayed(tuple(kept), summary, tuple(written))
 
 
-def keep_required(record: FrameRecord, required: Verdict) -> FrameRecord:
+def keep_required(record: ReplayedFrame, required: Verdict) -> ReplayedFrame:
     """Return a record without its pose, and with the reason, if its verdict is not the required one."""
-    if record.verdict is required or record.T_frame_object is None:
+    located = record.located
+    if located.verdict is required or record.T_frame_object is None:
         return record
-    says = record.says or f"the verdict is not {required}, which was required"
-    return record.model_copy(update={"T_frame_object": None, "covariance": None, "says": says})
+    says = located.says or f"the verdict is not {required}, which was required"
+    without = replace(located, T_sensor_object_modes=np.empty((0, 4, 4)), covariance=None, says=says)
+    return replace(record, located=without)
 
 
-def write_poses(out: ReplayOutput, replay: Replay, records: Sequence[FrameRecord]) -> Path:
+def write_poses(out: ReplayOutput, replay: Replay, records: Sequence[ReplayedFrame]) -> Path:
     """Write the recording's messages, with each pose and verdict after its image; return the path.
 
     A pose has its image's stamp and log time. Raises OutputError.
@@ -184,45 +185,46 @@ def write_poses(out: ReplayOutput, replay: Replay, records: Sequence[FrameRecord
     return write_recording(out.path, write)
 
 
-def _write_frame(writer: RecordingWriter, out: ReplayOutput, record: FrameRecord) -> None:
+def _write_frame(writer: RecordingWriter, out: ReplayOutput, record: ReplayedFrame) -> None:
     """Write a frame's pose, if it has one, and its verdict, unless it was refused."""
-    if record.T_frame_object is not None:
-        covariance = None if record.covariance is None else np.array(record.covariance)
-        message = make_pose(RosPose.of(record.T, covariance), record.stamp_ns, record.frame)
+    T, verdict = record.T_frame_object, record.located.verdict
+    if T is not None:
+        message = make_pose(RosPose.of(T, record.located.covariance), record.stamp_ns, record.frame)
         writer.write(out.pose_topic, POSE, message, record.log_time_ns)
-    if record.verdict is not None:
-        writer.write(out.verdict_topic, TEXT, make_text(record.verdict), record.log_time_ns)
+    if verdict is not None:
+        writer.write(out.verdict_topic, TEXT, make_text(verdict), record.log_time_ns)
 
 
-def write_table(path: Path, records: Sequence[FrameRecord]) -> Path:
+def write_table(path: Path, records: Sequence[ReplayedFrame]) -> Path:
     """Write one row per frame as CSV, in mm and degrees, and return the path. Raises OutputError."""
     return write_csv(path, COLUMNS, map(make_row, records))
 
 
-def make_row(record: FrameRecord) -> dict[str, str]:
+def make_row(record: ReplayedFrame) -> dict[str, str]:
     """Return a frame's row of the table; a standard deviation is the root mean square over the three axes."""
+    located, T = record.located, record.T_frame_object
     cells = {
         "number": str(record.number),
         "name": record.name,
         "stamp_s": f"{record.stamp_ns / 1e9:.9f}",
-        "verdict": record.verdict or "",
+        "verdict": located.verdict or "",
         "frame": record.frame,
-        "says": record.says,
+        "says": located.says,
     }
-    if record.T_frame_object is None:
+    if T is None:
         return cells
-    cells |= {"probability": f"{record.probability:.4f}"}
-    cells |= {} if record.imprint_iou is None else {"imprint_iou": f"{record.imprint_iou:.3f}"}
-    cells |= make_pose_cells(record.T)
-    if record.covariance is not None:
-        variances = np.diag(record.covariance)
+    cells |= {"probability": f"{located.probability:.4f}"}
+    cells |= {} if np.isnan(located.imprint_iou) else {"imprint_iou": f"{located.imprint_iou:.3f}"}
+    cells |= make_pose_cells(T)
+    if located.covariance is not None:
+        variances = np.diag(located.covariance)
         std_m, std_rad = np.sqrt(variances[:3].mean()), np.sqrt(variances[3:].mean())
         cells |= {"std_mm": f"{1e3 * std_m:.3f}", "std_deg": f"{np.degrees(std_rad):.3f}"}
     return cells
 
 
 def write_summary(
-    path: Path, source: ReplaySource, summary: ReplaySummary, records: Sequence[FrameRecord], more: dict[str, Any]
+    path: Path, source: ReplaySource, summary: ReplaySummary, records: Sequence[ReplayedFrame], more: dict[str, Any]
 ) -> Path:
     """Write the replay's summary, `more`, and all its frames as JSON in SI units; return the path.
 
@@ -231,5 +233,5 @@ def write_summary(
     about = {"folder": str(source.folder)} if isinstance(source, FolderReplay) else {}
     if isinstance(source, Replay):
         about = {"recording": str(source.recording.path), "image_topic": source.topic.name}
-    frames = [record.model_dump(mode="json") for record in records]
+    frames = [record.to_json() for record in records]
     return write_json(path, {**about, **asdict(summary), **more, "poses": frames})

@@ -8,11 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from pydantic import ValidationError
-
+from tactile_loc.store.files import parse_json
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.line_files import add_line, open_locked
-from tactile_loc.tracking.replay import FrameRecord, ReplaySource
+from tactile_loc.tracking.replay import ReplayedFrame, ReplaySource
 
 VERSION = 2  # increase it when replays give other results
 
@@ -34,9 +33,9 @@ class Journal:
         if self.stale or not lines:
             add_line(file, head)
 
-    def append(self, record: FrameRecord) -> None:
+    def append(self, record: ReplayedFrame) -> None:
         """Append a finished frame, which then survives if the process is killed. Raises OutputError."""
-        add_line(self._file, record.model_dump_json())
+        add_line(self._file, json.dumps(record.to_json()))
         self.records.append(record)
 
 
@@ -71,11 +70,11 @@ def make_replay_key(source: ReplaySource) -> str:
     ).digest
 
 
-def _keep_whole(lines: list[bytes]) -> Iterator[FrameRecord]:
+def _keep_whole(lines: list[bytes]) -> Iterator[ReplayedFrame]:
     for number, line in enumerate(lines):
         try:
-            record = FrameRecord.model_validate_json(line)
-        except ValidationError:
+            record = ReplayedFrame.of_json(parse_json(line))
+        except ValueError:
             return
         if not line.endswith(b"\n") or record.number != number:
             return

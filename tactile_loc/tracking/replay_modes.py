@@ -18,7 +18,7 @@ from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.tracking.key_touches import choose_key_touches
-from tactile_loc.tracking.replay import FrameRecord, ReplayFrame, ReplaySource, make_frame_record
+from tactile_loc.tracking.replay import ReplayedFrame, ReplayFrame, ReplaySource
 from tactile_loc.tracking.tracker import Tracker
 
 Floats = NDArray[np.float64]
@@ -37,7 +37,7 @@ def require_base(source: ReplaySource) -> None:
         )
 
 
-def track_frames(source: ReplaySource) -> Iterator[FrameRecord]:
+def track_frames(source: ReplaySource) -> Iterator[ReplayedFrame]:
     """Yield the results of all images, in order, followed by one tracker.
 
     Images without contact have the predicted pose. Images that cannot be read, or whose sensor pose is unknown, are
@@ -47,7 +47,7 @@ def track_frames(source: ReplaySource) -> Iterator[FrameRecord]:
     tracker, time_s = Tracker(source.localizer), -np.inf
     for frame in source.read_frames():
         time_s = max(time_s, 1e-9 * frame.stamp_ns)  # a clock may be set back
-        yield make_frame_record(frame, _track(tracker, time_s, frame))
+        yield ReplayedFrame.of(frame, _track(tracker, time_s, frame))
 
 
 def _track(tracker: Tracker, time_s: float, frame: ReplayFrame) -> LocatedFrame:
@@ -119,7 +119,7 @@ class RestPose:
         return LocatedFrame(verdict, T, p, C, imprint_iou, says="" if frame.problem is None else str(frame.problem))
 
 
-def fuse_frames(source: ReplaySource) -> tuple[RestPose, list[FrameRecord]]:
+def fuse_frames(source: ReplaySource) -> tuple[RestPose, list[ReplayedFrame]]:
     """Locate an object at rest from the images of a source together; return its pose, and the result of each image.
 
     Up to MOST_KEYS touches are located together. They are far apart and have much contact. The pose is then compared
@@ -167,13 +167,13 @@ def _compare(source: ReplaySource, frame: ReplayFrame, T_base_object: Floats) ->
     return float(scene.compare_imprints(T[None], frame.touch, source.localizer.config.tracker.image_px).imprint_ious[0])
 
 
-def _record(rest: RestPose, frame: ReplayFrame, imprint_iou: float) -> FrameRecord:
+def _record(rest: RestPose, frame: ReplayFrame, imprint_iou: float) -> ReplayedFrame:
     if not _is_usable(frame):
-        return make_frame_record(frame, LocatedFrame.of_error(frame.problem or FrameError("no sensor pose")))
-    return make_frame_record(frame, rest.view_frame(frame, imprint_iou))
+        return ReplayedFrame.of(frame, LocatedFrame.of_error(frame.problem or FrameError("no sensor pose")))
+    return ReplayedFrame.of(frame, rest.view_frame(frame, imprint_iou))
 
 
-def measure_scatter_m(records: Sequence[FrameRecord]) -> float:
+def measure_scatter_m(records: Sequence[ReplayedFrame]) -> float:
     """Return the root mean square distance of the located origins from their mean, metres; 0 for fewer than two."""
-    found = [record.T[:3, 3] for record in records if record.T_frame_object is not None]
+    found = [record.T_frame_object[:3, 3] for record in records if record.T_frame_object is not None]
     return float(np.sqrt(np.var(found, axis=0).sum())) if len(found) > 1 else 0.0

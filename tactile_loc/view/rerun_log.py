@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.lie import rotate_covariance
 from tactile_loc.core.geometry.rigid import invert, rotation_to_quaternion_xyzw
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
@@ -22,7 +21,7 @@ from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.result_arrays import reduce_mesh
 from tactile_loc.store.files import require_writable, write_atomically
-from tactile_loc.tracking.replay import FrameRecord, ReplaySource
+from tactile_loc.tracking.replay import ReplayedFrame, ReplaySource
 from tactile_loc.view.drawn_scene import GEL, STEEL, DrawnScene, DrawnSensor, describe_located
 
 SENSOR = "base/sensor"
@@ -190,7 +189,7 @@ def write_localization(path: Path, localization: Localization, scene: Scene) -> 
     return write_atomically(path, write)
 
 
-def write_replay(path: Path, source: ReplaySource, records: Sequence[FrameRecord]) -> Path:
+def write_replay(path: Path, source: ReplaySource, records: Sequence[ReplayedFrame]) -> Path:
     """Write the results of a replay atomically as a Rerun file, and return the path.
 
     The images are read again. Raises OutputError if the file cannot be written, and MissingLibraryError if rerun-sdk is
@@ -201,20 +200,9 @@ def write_replay(path: Path, source: ReplaySource, records: Sequence[FrameRecord
         with RerunLog(temporary, source.localizer.scene) as log:
             for record, frame in zip(records, source.read_frames(), strict=True):
                 time_s = 1e-9 * (record.stamp_ns - records[0].stamp_ns)
-                located = _locate_in_sensor(record, frame.T_base_sensor)
+                T_base_sensor = np.eye(4) if frame.T_base_sensor is None else frame.T_base_sensor
+                located = record.located.view_from(invert(T_base_sensor))
                 sensor = DrawnSensor(source.localizer.scene.geometry, touch=frame.touch, image=frame.image)
                 log.add(record.number, time_s, DrawnScene.of_frame(source.localizer.scene, located, sensor))
 
     return write_atomically(path, write)
-
-
-def _locate_in_sensor(record: FrameRecord, T_base_sensor: NDArray[np.float64] | None) -> LocatedFrame:
-    """Return a record's result in the sensor's frame."""
-    if record.T_frame_object is None:
-        return LocatedFrame(record.verdict, says=record.says)
-    T = np.eye(4) if T_base_sensor is None else invert(T_base_sensor)
-    covariance = None if record.covariance is None else rotate_covariance(np.array(record.covariance), T[:3, :3])
-    shares, iou = np.array([record.probability or 0.0]), record.imprint_iou
-    return LocatedFrame(
-        record.verdict, (T @ record.T)[None], shares, covariance, np.nan if iou is None else iou, says=record.says
-    )

@@ -155,8 +155,10 @@ def test_small_tilts_are_mapped_in_the_sensor_frame():
     rows = found.mass.sum(axis=1)
     # rotated about +x by 10 degrees, the side that faced -z leans towards +y
     assert sorted(zip(y[rows > 0].round(1), rows[rows > 0].round(6), strict=True)) == [
-        (pytest.approx(-10, abs=1), 0.2), (pytest.approx(0, abs=1), 0.3), (pytest.approx(10, abs=1), 0.5),
-    ]  # fmt: skip
+        (pytest.approx(-10, abs=1), 0.2),
+        (pytest.approx(0, abs=1), 0.3),
+        (pytest.approx(10, abs=1), 0.5),
+    ]
     assert found.mass[:, len(rows) // 2].sum() == pytest.approx(1.0)
 
 

@@ -13,7 +13,7 @@ from report_helpers import UNFRIENDLY
 
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.reports.page import load_templates
-from tactile_loc.reports.pictures import Frame, draw_difference, draw_shape, trace_outline
+from tactile_loc.reports.pictures import ImageBorders, draw_difference, draw_shape, trace_outline
 
 
 def pixels(uri: str) -> np.ndarray:
@@ -75,7 +75,7 @@ def test_an_outline_at_the_border_is_closed(flat_camera):
 
 
 def test_pictures_label_their_axes_and_escape_markup(shapes, flat_camera):
-    shape, frame = load_templates().get_template("shapes.html.j2").module.shape, Frame.of(flat_camera)
+    shape, frame = load_templates().get_template("shapes.html.j2").module.shape, ImageBorders.of(flat_camera)
     svg = shape("data:image/png;base64,", frame, "", UNFRIENDLY)
     assert "<script" not in svg
     assert "10 mm" in shape("", frame, "", "x") or "5 mm" in shape("", frame, "", "x")

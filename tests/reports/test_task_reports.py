@@ -89,15 +89,30 @@ def test_a_folder_counts_its_verdicts(localization):
 
 def test_a_next_touch_shows_the_best_approach(picture):
     rated = [
-        RatedRecord(rank=k, name=f"approach {k}", T_base_sensor=EYE, press_m=None, information_nats=0.9, cost=1.0,
-                    entropy_nats=0.3, meets=0.8, travel_m=[0.01, None])
+        RatedRecord(
+            rank=k,
+            name=f"approach {k}",
+            T_base_sensor=EYE,
+            press_m=None,
+            information_nats=0.9,
+            cost=1.0,
+            entropy_nats=0.3,
+            meets=0.8,
+            travel_m=[0.01, None],
+        )
         for k in (1, 2)
-    ]  # fmt: skip
+    ]
     record = NextTouchRecord(
-        object="hook", symmetry="none", modes=[ModeRecord(probability=0.5, T_base_object=EYE)] * 2, unlisted=0.0,
-        entropy_nats=1.2, ranked=rated, out_of_reach=[OutOfReachRecord(name="far", reason="is too far")],
-        alike=[[1, 2]], doubt_left=0.5,
-    )  # fmt: skip
+        object="hook",
+        symmetry="none",
+        modes=[ModeRecord(probability=0.5, T_base_object=EYE)] * 2,
+        unlisted=0.0,
+        entropy_nats=1.2,
+        ranked=rated,
+        out_of_reach=[OutOfReachRecord(name="far", reason="is too far")],
+        alike=[[1, 2]],
+        doubt_left=0.5,
+    )
     page = make_next_touch_page(record, picture)
     assert page.title == "next touch of hook: approach 1"
     found = read(page)

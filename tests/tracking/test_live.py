@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +13,12 @@ from message_helpers import missing
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.runtime.errors import GridError, TouchError
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.json_keys import read_keys
 from tactile_loc.io.streams.frame_sources import ImageFolder, SourceFrame
 from tactile_loc.io.streams.sensor_tracks import read_sensor_track
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.tracking.live import LiveLocator, LiveRecord, LiveSummary
+from tactile_loc.tracking.live import LIVE, LiveLocator, LiveSummary
 from tactile_loc.tracking.tracker import Tracker
 
 NOTHING = np.full((200, 200), 0.002, np.float32)
@@ -43,12 +45,13 @@ def test_a_frame_is_located_like_its_touch(localizer, touch, tmp_path):
     result = LiveLocator(localizer).locate(frame, dropped=4)
     expected = localizer.localize(touch)
     best = expected.best
-    record = result.record
-    assert (record.verdict, record.name, record.dropped, record.says) == (expected.verdict, "0.npz", 4, "")
+    record, document = result.located, json.loads(json.dumps(result.to_json()))
+    assert (record.verdict, record.says) == (expected.verdict, "")
+    assert read_keys(LIVE, document) == document
+    assert (document["number"], document["name"], document["dropped"]) == (0, "0.npz", 4)
     np.testing.assert_allclose(record.T_sensor_object, best.T_sensor_object, atol=1e-6)
     assert record.probability == pytest.approx(best.probability, abs=1e-3)
     np.testing.assert_allclose(record.std, np.sqrt(np.diag(best.refined.covariance)), rtol=1e-3)
-    assert LiveRecord.model_validate_json(record.model_dump_json()) == record
     assert len(result.located.T_sensor_object_modes) == len(result.located.probabilities) > 1
 
 
@@ -57,7 +60,7 @@ def test_frames_without_contact_are_reported_and_unreadable_frames_refused(local
     damaged = replace(frames[0], problem=TouchError("it is\ndamaged"))
     wrong = SourceFrame(3, 0.0, "photo", np.zeros((200, 200, 3), np.uint8))
     locator = LiveLocator(localizer)
-    records = [locator.locate(frame).record for frame in (*frames, damaged, wrong)]
+    records = [locator.locate(frame).located for frame in (*frames, damaged, wrong)]
     assert [record.verdict for record in records[1:]] == [Verdict.NO_CONTACT, None, None]
     assert records[0].verdict is localizer.localize(touch).verdict
     assert [record.word for record in records[1:]] == ["no contact", "refused", "refused"]
@@ -77,7 +80,7 @@ def test_a_touch_that_fits_no_pose_is_not_found_with_a_reason(localizer, touch, 
     monkeypatch.setattr(type(localizer), "localize", fail)
     (frame,) = frames_of(tmp_path / "in", touch)
     locator = LiveLocator(localizer)
-    record = locator.locate(frame).record
+    record = locator.locate(frame).located
     assert (record.verdict, record.says) == (Verdict.NOT_FOUND, "no pose explains the touch")
     summary = LiveSummary.of(locator, dropped=0)
     assert (summary.located, summary.not_found, summary.refused) == (0, 1, 0)
@@ -100,15 +103,15 @@ def test_a_static_object_is_tracked_and_predicted_without_contact(localizer, tou
     frames = [replace(frame, time_s=t) for frame, t in zip(frames_of(tmp_path / "in", touch, touch, None, touch),
                                                            (5.0, 5.1, 5.05, 5.2), strict=True)]  # fmt: skip
     results = [locator.locate(frame) for frame in frames]
-    assert [result.record.verdict for result in results] == ["certain", "certain", "no contact", "certain"]
+    assert [result.located.verdict for result in results] == ["certain", "certain", "no contact", "certain"]
     for result in results:
         np.testing.assert_allclose(
-            np.array(result.record.T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4
+            np.array(result.located.T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4
         )
-    without = results[2].record
-    assert without.imprint_iou is None
+    without = results[2].located
+    assert np.isnan(without.imprint_iou)
     assert "mm" in without.says
-    assert (without.std > results[1].record.std * 0.99).all()
+    assert (without.std > results[1].located.std * 0.99).all()
 
 
 def test_a_track_uses_the_sensor_poses_of_a_csv_file(localizer, touch, tmp_path):
@@ -121,7 +124,7 @@ def test_a_track_uses_the_sensor_poses_of_a_csv_file(localizer, touch, tmp_path)
     tracker = Tracker(localizer)
     tracker.start(T @ touch.T_sensor_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
     locator = LiveLocator(localizer, tracker, sensor_track=read_sensor_track(tmp_path / "poses.csv"))
-    records = [locator.locate(frame).record for frame in frames]
+    records = [locator.locate(frame).located for frame in frames]
     assert [record.verdict for record in records] == [Verdict.CERTAIN, Verdict.NO_CONTACT, None]
     np.testing.assert_allclose(np.array(records[0].T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4)
     lifted = touch.T_sensor_object[:3, 3] - [0.0, 0.0, 0.01]
@@ -136,6 +139,6 @@ def test_a_track_uses_the_sensor_poses_in_the_files(localizer, touch, tmp_path):
     (frame,) = frames_of(tmp_path / "in", replace(touch, T_base_sensor=T))
     tracker = Tracker(localizer)
     tracker.start(T @ touch.T_sensor_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
-    record = LiveLocator(localizer, tracker).locate(frame).record
+    record = LiveLocator(localizer, tracker).locate(frame).located
     assert record.verdict is Verdict.CERTAIN
     np.testing.assert_allclose(np.array(record.T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4)

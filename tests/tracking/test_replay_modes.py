@@ -13,7 +13,7 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import FrameError, NoContactError, RecordingError, TouchError
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.tracking.replay import ReplayFrame, make_frame_record
+from tactile_loc.tracking.replay import ReplayedFrame, ReplayFrame
 from tactile_loc.tracking.replay_modes import fuse_frames, measure_scatter_m, track_frames
 
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.1, 0.2])
@@ -64,13 +64,13 @@ def test_an_object_at_rest_gets_one_pose_from_all_touches(localizer, frames):
     assert rest.verdict is rest.localization.verdict
     assert rest.numbers == tuple(range(COUNT))
     assert np.linalg.eigvalsh(rest.covariance).min() > 0
-    verdicts = [record.verdict for record in records]
+    verdicts = [record.located.verdict for record in records]
     assert verdicts == [*[rest.verdict] * COUNT, Verdict.NO_CONTACT, None]
     for record in records[:-1]:
-        np.testing.assert_allclose(record.T, rest.T_base_object, atol=1e-9)
-        np.testing.assert_allclose(record.covariance, rest.covariance, atol=1e-12)
+        np.testing.assert_allclose(record.T_frame_object, rest.T_base_object, atol=1e-9)
+        np.testing.assert_allclose(record.located.covariance, rest.covariance, atol=1e-12)
     assert measure_scatter_m(records) < 1e-9
-    assert (records[-2].says, records[-1].says) == ("nothing", "damaged")
+    assert (records[-2].located.says, records[-1].located.says) == ("nothing", "damaged")
     assert records[-1].T_frame_object is None
 
 
@@ -93,7 +93,7 @@ def test_images_are_used_together_only_with_sensor_poses(localizer, frames):
     unknown = [replace(frame, T_base_sensor=None, problem=FrameError("unknown")) for frame in frames]
     with pytest.raises(RecordingError):
         fuse_frames(Images(localizer, unknown))
-    assert [record.verdict for record in track_frames(Images(localizer, unknown))] == [None] * COUNT
+    assert [record.located.verdict for record in track_frames(Images(localizer, unknown))] == [None] * COUNT
 
 
 def test_a_track_predicts_without_contact_and_skips_refused_images(localizer, frames):
@@ -104,18 +104,18 @@ def test_a_track_predicts_without_contact_and_skips_refused_images(localizer, fr
     at_once = localizer.config.tracker.model_copy(update={"turns": 0})
     config = localizer.config.model_copy(update={"tracker": at_once})
     records = list(track_frames(Images(Localizer(config, localizer.object, localizer.store), some)))
-    verdicts = [record.verdict for record in records]
+    verdicts = [record.located.verdict for record in records]
     assert verdicts[2:4] == [Verdict.NO_CONTACT, None]
     assert verdicts[1] is localizer.localize(frames[0].touch).verdict is verdicts[4]
     assert [record.T_frame_object is not None for record in records] == [True, True, True, False, True]
-    np.testing.assert_allclose(records[2].T, records[1].T, atol=1e-3)
-    assert records[2].says == "nothing"
+    np.testing.assert_allclose(records[2].T_frame_object, records[1].T_frame_object, atol=1e-3)
+    assert records[2].located.says == "nothing"
 
 
 def test_the_scatter_is_that_of_located_origins(frames, localizer):
     rest, records = fuse_frames(Images(localizer, frames[:1]))
     moved = [
-        make_frame_record(frame, rest.view_frame(frame, 0.9).view_from(make_translation([x, 0, 0])))
+        ReplayedFrame.of(frame, rest.view_frame(frame, 0.9).view_from(make_translation([x, 0, 0])))
         for frame, x in ((frames[0], 0.0), (frames[0], 4e-3))
     ]
     assert measure_scatter_m(moved) == pytest.approx(2e-3)

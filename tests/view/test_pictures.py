@@ -96,8 +96,14 @@ def draw_several(localizer, localization, names: list[str], left_out: tuple[Touc
     others = tuple(dataclasses.replace(localization.touch, name=name) for name in names)
     ious = tuple(0.9 - 0.01 * k for k in range(len(names)))
     best = dataclasses.replace(localization.best, imprint_ious=ious)
-    several = dataclasses.replace(localization, touch=others[0], others=others[1:], hypotheses=(best,) * 3,
-                                  left_out=left_out, agreement=Agreement(outliers=(1,)))  # fmt: skip
+    several = dataclasses.replace(
+        localization,
+        touch=others[0],
+        others=others[1:],
+        hypotheses=(best,) * 3,
+        left_out=left_out,
+        agreement=Agreement(outliers=(1,)),
+    )
     return draw_result(several, localizer.scene, "pin")
 
 

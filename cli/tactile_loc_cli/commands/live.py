@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -162,7 +163,7 @@ def _write_results(out: Path) -> Iterator[Show]:
     from tactile_loc.store.line_files import open_json_lines
 
     with open_json_lines(out) as add_line:
-        yield lambda result: add_line(result.record.model_dump_json())
+        yield lambda result: add_line(json.dumps(result.to_json()))
 
 
 @contextmanager

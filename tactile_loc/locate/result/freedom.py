@@ -74,9 +74,14 @@ def explain_as_well(imprint_ious: Float64, best: float, as_well: float = AS_WELL
 
 
 def find_freedom(
-    T_sensor_object: Poses, imprint_ious: Float64, covariance: Float64 | None, contact_m: Float64,
-    same: NDArray[np.bool_], tolerance: Tolerance = ONE_MILLIMETRE, as_well: float = AS_WELL,
-) -> Freedom:  # fmt: skip
+    T_sensor_object: Poses,
+    imprint_ious: Float64,
+    covariance: Float64 | None,
+    contact_m: Float64,
+    same: NDArray[np.bool_],
+    tolerance: Tolerance = ONE_MILLIMETRE,
+    as_well: float = AS_WELL,
+) -> Freedom:
     """Return what is open about the first of K poses (K, 4, 4), metres.
 
     `imprint_ious` (K,), 0 to 1, state how well the poses explain the touches. `covariance` (6, 6) is the first pose's;

@@ -326,9 +326,14 @@ class Localization:
         T = np.stack([h.T_sensor_object for h in self.hypotheses])
         same = self.tolerance.find_within(self.object, T[0], T)
         return find_freedom(
-            T, np.array([h.imprint_iou for h in self.hypotheses]), self.best.refined.covariance,
-            self.touch.geometry.gel_middle_m, same, self.tolerance, self.as_well,
-        )  # fmt: skip
+            T,
+            np.array([h.imprint_iou for h in self.hypotheses]),
+            self.best.refined.covariance,
+            self.touch.geometry.gel_middle_m,
+            same,
+            self.tolerance,
+            self.as_well,
+        )
 
     @property
     def equal_explanations(self) -> tuple[Hypothesis, ...]:

@@ -1,4 +1,4 @@
-"""A located frame: the object's pose at one frame, and the fields that all records of located frames share.
+"""A located frame: the object's pose at one frame, and the keys that all files of located frames share.
 
 The tracker, live runs, recordings and the ROS node use located frames.
 """
@@ -13,15 +13,32 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.geometry.lie import rotate_covariance
 from tactile_loc.core.runtime.errors import GridError, NoContactError, TactileLocError
-from tactile_loc.io.mount_files import Covariance
+from tactile_loc.io.json_keys import Key, Keys, write_keys
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict, name_verdict
 
 Floats = NDArray[np.float64]
+
+
+LOCATED: Keys = {  # what all files of located frames have, in live runs and recordings
+    "verdict": Key(
+        "text or null", "certain, ambiguous, poor fit, not found or no contact; null if the frame was refused"
+    ),
+    "says": Key("text", "why there is no verdict or no pose; else empty"),
+    "probability": Key(
+        "number or null",
+        "of the most probable pose, 0 to 1; in a track, as the start (1) or the last search states it, where 0.89 and "
+        "0.998 are limits of the fit",
+    ),
+    "imprint_iou": Key("number or null", "how well that pose explains the frame, 0 to 1"),
+    "covariance": Key(
+        "6 x 6 numbers or null",
+        "of that pose: x, y, z of the object's origin (m) and rotations about the frame's axes (rad); null if unknown",
+    ),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,52 +101,24 @@ class LocatedFrame:
         """The verdict, or "refused" if there is no verdict."""
         return name_verdict(self.verdict)
 
+    def to_json(self) -> dict[str, Any]:
+        """Return the values of LOCATED, as JSON values; the poses are not among them."""
+        return write_keys(LOCATED, self)
+
+    @classmethod
+    def of_json(cls, values: dict[str, Any], T: list[list[float]] | None) -> LocatedFrame:
+        """Make a frame from the values of LOCATED and the rows of its most probable pose, metres, if it has one."""
+        verdict, says = values["verdict"] and Verdict(values["verdict"]), values["says"]
+        if T is None:
+            return cls(verdict, says=says)
+        C, iou, p = values["covariance"], values["imprint_iou"], values["probability"]
+        covariance, iou = None if C is None else np.array(C), math.nan if iou is None else iou
+        return cls(verdict, np.array([T]), np.array([p or 0.0]), covariance, iou, says=says)
+
     def view_from(self, T_other_sensor: Floats) -> LocatedFrame:
         """Return the same poses in another sensor's frame; T_other_sensor is (4, 4), metres."""
         C = None if self.covariance is None else rotate_covariance(self.covariance, T_other_sensor[:3, :3])
         return replace(self, T_sensor_object_modes=T_other_sensor @ self.T_sensor_object_modes, covariance=C)
-
-
-class LocatedRecord(BaseModel):
-    """The fields that all records of a located frame share, in live runs and recordings. SI units."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    number: int = Field(description="number of the frame in its source, from 0")
-    verdict: Verdict | None = Field(
-        description="certain, ambiguous, poor fit, not found or no contact; null if the frame was refused"
-    )
-    says: str = Field(default="", description="why there is no verdict or no pose; else empty")
-    probability: float | None = Field(
-        default=None,
-        description="of the most probable pose, 0 to 1; in a track, as the start (1) or the last search states it, "
-        "where 0.89 and 0.998 are limits of the fit",
-    )
-    imprint_iou: float | None = Field(default=None, description="how well that pose explains the frame, 0 to 1")
-    covariance: Covariance | None = Field(
-        default=None,
-        description="of that pose, (6, 6): x, y, z of the object's origin (m) and rotations about the frame's axes "
-        "(rad); null if unknown",
-    )
-
-    @property
-    def std(self) -> Floats | None:
-        """Standard deviations (6,) of x, y, z, metres, and of the rotations about them, radians; None if unknown."""
-        return None if self.covariance is None else np.sqrt(np.diag(np.array(self.covariance)))
-
-    @property
-    def word(self) -> str:
-        """The verdict, or "refused" if there is no verdict."""
-        return name_verdict(self.verdict)
-
-
-def record_fields(located: LocatedFrame) -> dict[str, Any]:
-    """Return the fields of a LocatedRecord that come from a frame, as JSON values."""
-    C, iou = located.covariance, located.imprint_iou
-    return {
-        "verdict": located.verdict, "says": located.says, "probability": located.probability,
-        "imprint_iou": None if math.isnan(iou) else float(iou), "covariance": None if C is None else C.tolist(),
-    }  # fmt: skip
 
 
 def count_frames(verdicts: Iterable[Verdict | None]) -> dict[str, int]:
@@ -145,7 +134,9 @@ def count_frames(verdicts: Iterable[Verdict | None]) -> dict[str, int]:
         "poor_fit": counts[Verdict.POOR_FIT],
     }
     others = {
-        "not_found": counts[Verdict.NOT_FOUND], "no_contact": counts[Verdict.NO_CONTACT], "refused": counts[None],
-    }  # fmt: skip
+        "not_found": counts[Verdict.NOT_FOUND],
+        "no_contact": counts[Verdict.NO_CONTACT],
+        "refused": counts[None],
+    }
     frames = counts.total()
     return {"frames": frames, "located": frames - sum(others.values()), **found, **others}

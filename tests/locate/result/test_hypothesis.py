@@ -105,8 +105,9 @@ def test_one_touch_with_a_sensor_pose_has_a_pose_in_the_base_frame(localizer, re
     touch, T_true = seen_from_base(localizer, 2)
     other = type(localizer)(
         localizer.config.model_copy(update={"refiner": localizer.config.refiner.model_copy(update={"name": refiner})}),
-        localizer.object, localizer.store,
-    )  # fmt: skip
+        localizer.object,
+        localizer.store,
+    )
     found = other.localize(touch)
     for one in found.hypotheses:
         np.testing.assert_allclose(one.T_base_object, touch.T_base_sensor @ one.T_sensor_object, atol=1e-9)
