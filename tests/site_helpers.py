@@ -75,6 +75,12 @@ class Site:
         python.chmod(0o755)
         (self.folder / ".venv" / ".installed").write_text(f"{self.folder}\n")
 
+    def write_page(self, name: str, text: str) -> Path:
+        """Write a page, add it to the navigation, and return where the site has it."""
+        self.write({name: text})
+        self._list_pages([name])
+        return self.folder / "out" / "site" / name.replace(".md", ".html")
+
     def write(self, pages: dict[str, str]) -> None:
         for name, text in pages.items():
             (self.folder / "docs" / name).write_text(text)
