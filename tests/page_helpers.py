@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import trimesh
+from tactile_loc_cli.main import app
+from typer.main import get_command
 
 from tactile_loc import load_object
 
@@ -34,18 +36,17 @@ def list_commands(text: str) -> list[list[str]]:
 
 def understand(words: list[str]) -> dict[str, Any]:
     """Return the parameters of a `tactile-loc` command, given without the program. An unknown option raises."""
-    from tactile_loc_cli.main import app
-    from typer.main import get_command
+    command: Any = get_command(app)
+    while commands := getattr(command, "commands", None):
+        if words[0].startswith("-"):  # such as --help, of the group
+            return {}
+        name, *words = words
+        command = commands[name]
+    return command.make_context(name, words).params
 
-    context = command = get_command(app)
-    while hasattr(command, "commands"):
-        context, (name, *words) = command, words
-        command = context.get_command(None, name)
-    return command.make_context(name, list(words), resilient_parsing="..." in words).params
 
-
-def write_part(path: Path) -> Path:
-    """Write the pin's mesh, in millimetres, and return its path."""
-    mesh = load_object("pin").mesh
+def write_part(path: Path, name: str = "pin") -> Path:
+    """Write the mesh of a demo object, in millimetres, and return its path."""
+    mesh = load_object(name).mesh
     trimesh.Trimesh(mesh.vertices_m * 1e3, mesh.faces, process=False).export(path)
     return path

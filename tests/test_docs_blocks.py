@@ -38,15 +38,15 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 ELSEWHERE = {
     "cli.md": "test_reference.py",  # generated
-    "files.md": "test_docs_files.py",
+    "files.md": "test_docs_pages.py",
     "plugins.md": "test_docs_plugins.py",
     "plugin-examples.md": "test_docs_plugins.py",
     "tutorial-plugin.md": "test_docs_tutorial.py",
     "sweeps.md": "test_docs_sweeps.py",
-    "reports.md": "test_docs_reports.py",
-    "programs.md": "test_docs_programs.py",
-    "tuning.md": "test_docs_tuning.py",
-    "chain.md": "test_docs_chain.py",
+    "reports.md": "test_docs_pages.py",
+    "programs.md": "test_docs_pages.py",
+    "tuning.md": "test_docs_pages.py",
+    "chain.md": "test_docs_pages.py",
     "other-tools.md": "test_docs_conversions.py",
     "examples.md": "test_examples.py",
     "app.md": "test_app_command.py",
@@ -99,7 +99,11 @@ def test_every_block_has_a_tested_language():
 
 def test_pages_with_separate_tests_exist_and_are_tested():
     assert [page for page in ELSEWHERE if not (DOCS / page).exists()] == []
-    texts = {test.name: test.read_text() for test in (ROOT / "tests").rglob("test_*.py")}
+    texts = {
+        test.name: test.read_text()
+        for folder in ("tests", "plugins_contrib")
+        for test in (ROOT / folder).rglob("test_*.py")
+    }
     assert [page for page, test in ELSEWHERE.items() if page not in texts[test]] == []
 
 
