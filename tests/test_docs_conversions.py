@@ -8,17 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from page_helpers import read_page
 from scipy.spatial.transform import Rotation
 
 from tactile_loc import RosPose
 from tactile_loc.core.geometry.lie import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 
-PAGE = (Path(__file__).parents[1] / "docs" / "other-tools.md").read_text()
+PAGE = read_page("other-tools.md")
 T = make_transform(rotation_about([1, 2, -1], 1.1), np.array([0.4, -0.05, 0.12]))
 A = np.random.default_rng(0).normal(size=(6, 6))
 COVARIANCE = 1e-6 * (A @ A.T + 6 * np.eye(6))
 VERTEX_M = np.array([0.01, 0.02, -0.03])
+MESHES = ("Open3D", "trimesh")  # tools that move a mesh
 
 
 @dataclass
@@ -37,10 +40,10 @@ def convert(tool: str, **given: object) -> dict[str, object]:
     return names
 
 
-def test_every_tool_of_the_table_has_code_that_is_tested():
-    tools = re.findall(r"^## (.+)$", PAGE, re.MULTILINE)
+def test_every_tool_of_the_page_is_tested():
+    tools = set(re.findall(r"^## (.+)$", PAGE, re.MULTILINE))
     tested = re.findall(r'convert\("([^"]+)"', Path(__file__).read_text())
-    assert set(tools) - {"The pose and its covariance", "Differences at a glance", "Mistakes"} == set(tested)
+    assert tools - {"The pose and its covariance", "Differences at a glance", "Mistakes"} == {*tested, *MESHES}
 
 
 def test_ros_gets_scalar_last_quaternions_and_an_unchanged_covariance():
@@ -75,19 +78,15 @@ def test_opencv_gets_a_rotation_vector_that_projects_like_our_camera():
     assert np.allclose(found["K_opencv"][:2, 2], [234.5, 234.5])
 
 
-def test_open3d_moves_the_mesh_to_the_pose():
-    o3d = pytest.importorskip("open3d")
-    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector([1e3 * VERTEX_M]), o3d.utility.Vector3iVector())
-    found = convert("Open3D", mesh_in_mm=mesh)
+@pytest.mark.parametrize("tool", MESHES)
+def test_a_mesh_is_moved_to_the_pose(tool):
+    if tool == "Open3D":
+        o3d = pytest.importorskip("open3d")
+        mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector([1e3 * VERTEX_M]), o3d.utility.Vector3iVector())
+    else:
+        mesh = trimesh.Trimesh(1e3 * np.array([VERTEX_M]), process=False)
+    found = convert(tool, mesh_in_mm=mesh)
     assert np.allclose(np.asarray(found["mesh"].vertices)[0], T[:3, :3] @ VERTEX_M + T[:3, 3])
-
-
-def test_trimesh_moves_the_mesh_to_the_pose():
-    import trimesh
-
-    mesh = trimesh.Trimesh(1e3 * np.array([VERTEX_M]), process=False)
-    found = convert("trimesh", mesh_in_mm=mesh)
-    assert np.allclose(found["mesh"].vertices[0], T[:3, :3] @ VERTEX_M + T[:3, 3])
 
 
 def test_bop_rows_are_in_millimetres_and_row_major():

@@ -1,84 +1,52 @@
-"""The page on sweeps: plans can be read, commands are valid, Python runs, and all columns are explained."""
+"""The page on sweeps: plans can be read, cluster examples start valid commands, and all columns are explained."""
 
 from __future__ import annotations
 
-import itertools
 import re
-import shlex
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
-from typer.main import get_command
+from page_helpers import ROOT, find_blocks, list_commands, read_page, understand
 
 from tactile_loc.evaluation.sweep.plan import Plan, find_varied_options, split_all
 from tactile_loc.evaluation.sweep.sweep import IDENTITY, MOMENTARY, list_columns
 
-ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs" / "sweeps.md").read_text()
+PAGE = read_page("sweeps.md")
 CLUSTERS = ("dask_jobqueue", "dask_kubernetes")
-
-
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-
-
-def commands() -> list[list[str]]:
-    """The words of every command, without leading environment variables."""
-    lines = [shlex.split(line, comments=True) for block in blocks("sh") for line in block.splitlines()]
-    return [list(itertools.dropwhile(re.compile(r"[A-Z_]+=\S*").fullmatch, line)) for line in lines if line]
 
 
 def test_every_block_has_a_tested_kind():
     assert set(re.findall(r"^```(\w*)$", PAGE, re.MULTILINE)) == {"sh", "toml", "python", ""}
-    assert {words[0] for words in commands()} == {"pip", "tactile-loc", "dask"}
+    assert {words[0] for words in list_commands(PAGE)} == {"pip", "tactile-loc", "dask"}
 
 
-def understood(words: list[str]) -> dict[str, Any]:
-    from tactile_loc_cli.main import app
-
-    command = get_command(app).commands[words[0]]
-    return command.make_context(words[0], list(words[1:])).params
-
-
-@pytest.mark.parametrize("words", [w[1:] for w in commands() if w[0] == "tactile-loc"], ids=" ".join)
-def test_every_command_on_the_pages_is_valid(words):
-    given = understood(words)
-    assert given["plan"] is not None or given["object"] or given["renderer"] or given["compare"]
-
-
-@pytest.mark.parametrize("words", [w[1:] for w in commands() if w[0] == "dask"], ids=" ".join)
-def test_every_dask_command_is_valid(words):
+def test_every_dask_command_is_valid():
     pytest.importorskip("distributed")
     from distributed.cli import dask_scheduler, dask_worker
 
-    command = {"scheduler": dask_scheduler.main, "worker": dask_worker.main}[words[0]]
-    command.make_context(words[0], list(words[1:]))
+    for program, name, *words in list_commands(PAGE):
+        if program == "dask":
+            command = {"scheduler": dask_scheduler.main, "worker": dask_worker.main}[name]
+            command.make_context(name, words)
 
 
 def test_the_extra_in_the_install_command_exists():
-    (words,) = [w for w in commands() if w[0] == "pip"]
+    (words,) = [words for words in list_commands(PAGE) if words[0] == "pip"]
     extra = re.fullmatch(r"tactile-loc\[(\w+)\]", words[-1])[1]
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert {"distributed", "pandas", "pyarrow"} <= {
-        re.split(r"[<>=]", r)[0] for r in project["optional-dependencies"][extra]
-    }
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert {"distributed", "pandas", "pyarrow"} <= {re.split(r"[<>=]", one)[0] for one in extras[extra]}
 
 
-@pytest.mark.parametrize("text", blocks("toml"))
-def test_every_plan_on_the_pages_can_be_read(text):
+def test_the_plans_of_the_page_give_the_documented_combinations():
+    (text,) = find_blocks(PAGE, "toml")
     plan = Plan.from_values(tomllib.loads(text), "docs/sweeps.md")
     assert [len(plan.slots[slot]) for slot in ("sensor", "renderer", "grid", "encoder", "refiner")] == [2, 2, 2, 2, 3]
     assert (len(plan.objects), plan.noises, plan.seeds, plan.count) == (2, ("none", "strong"), (0, 1), 50)
-
-
-def test_the_example_of_options_gives_the_documented_combinations():
-    words = next(w[1:] for w in commands() if "encoder.cells=12,20" in w)
-    given = understood(words)
+    given = understand(next(words[1:] for words in list_commands(PAGE) if "encoder.cells=12,20" in words))
     plan = Plan.from_values({"encoder": split_all(given["encoder"]), "option": given["option"]})
     assert (len(plan.slots["grid"]), len(plan.slots["encoder"])) == (2, 3)
 
@@ -105,26 +73,27 @@ def fake_spec(**settings: Any) -> dict[str, Any]:
     return {"spec": {"worker": {"spec": {"containers": [{"env": settings["env"]}]}}}}
 
 
-@pytest.mark.parametrize("text", [b for b in blocks("python") if any(name in b for name in CLUSTERS)])
-def test_the_cluster_examples_start_a_valid_command(text, monkeypatch):
+@pytest.mark.parametrize("cluster", CLUSTERS)
+def test_the_cluster_examples_start_a_valid_command(cluster, monkeypatch):
     """Stand-ins replace Slurm and Kubernetes."""
-    jobqueue, kubernetes, operator = (ModuleType(n) for n in (*CLUSTERS, "dask_kubernetes.operator"))
+    jobqueue, kubernetes, operator = (ModuleType(name) for name in (*CLUSTERS, "dask_kubernetes.operator"))
     jobqueue.SLURMCluster = operator.KubeCluster = FakeCluster
     operator.make_cluster_spec = fake_spec
     for module in (jobqueue, kubernetes, operator):
         monkeypatch.setitem(sys.modules, module.__name__, module)
     ran: list[list[str]] = []
     monkeypatch.setattr(subprocess, "run", lambda words, check: ran.append(words))
+    (text,) = [block for block in find_blocks(PAGE, "python") if cluster in block]
     exec(compile(text, "docs/sweeps.md", "exec"), {})
     ((program, *words),) = ran
     assert program == "tactile-loc"
-    assert understood(words)["scheduler"] == FakeCluster.scheduler_address
+    assert understand(words)["scheduler"] == FakeCluster.scheduler_address
 
 
 @pytest.mark.slow
 def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
-    (example,) = [b for b in blocks("python") if not any(name in b for name in CLUSTERS)]
+    (example,) = [b for b in find_blocks(PAGE, "python") if not any(name in b for name in CLUSTERS)]
     exec(compile(example, "docs/sweeps.md", "exec"), {"__name__": "__main__"})
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [name for name, _ in rows] == ["none", "icp"]
