@@ -9,14 +9,13 @@ from __future__ import annotations
 import csv
 import json
 import re
-import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
+from page_helpers import DOCS, ROOT, list_commands, read_page, write_part
 from press_sets import COLUMNS, ball_set, write_image
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
@@ -34,8 +33,6 @@ from tactile_loc.store.store import StageStore
 from tactile_loc.testing.problems import press_block
 from tactile_loc.tracking.live import LiveLocator
 
-ROOT = Path(__file__).parents[1]
-DOCS = ROOT / "docs"
 ELSEWHERE = {
     "cli.md": "test_reference.py",  # generated
     "files.md": "test_docs_pages.py",
@@ -82,12 +79,11 @@ Block = tuple[str, str]
 
 def blocks(page: str) -> list[Block]:
     """The language and the text of each fenced block of a page."""
-    return re.findall(r"^```(\w*)\n(.*?)^```", (DOCS / page).read_text(), re.DOTALL | re.MULTILINE)
+    return re.findall(r"^```(\w*)\n(.*?)^```", read_page(page), re.DOTALL | re.MULTILINE)
 
 
 def commands(page: str) -> list[list[str]]:
-    lines = [line for language, text in blocks(page) if language == "sh" for line in text.splitlines()]
-    return [words for line in lines if (words := shlex.split(line, comments=True))]
+    return list_commands(read_page(page))
 
 
 def test_every_block_has_a_tested_language():
@@ -134,8 +130,7 @@ def mounted(folder: Path, store: StageStore) -> None:
 def furnished(tmp_path_factory, store) -> Path:
     """A folder with the files that the commands of the pages name."""
     folder = tmp_path_factory.mktemp("furnished")
-    mesh = load_object("pin").mesh
-    trimesh.Trimesh(mesh.vertices_m * 1e3, mesh.faces, process=False).export(folder / "part.stl")
+    write_part(folder / "part.stl")
     localizer = Localizer.create(folder / "part.stl", units="mm", store=store, grid={"name": "face", "spacing_mm": 8})
     touches = [replace(t, T_base_sensor=np.linalg.inv(t.T_sensor_object)) for t in localizer.simulate(2, seed=3)]
     for name, touch in zip(("first", "second"), touches, strict=True):
