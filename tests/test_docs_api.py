@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import importlib
 import re
-from pathlib import Path
 
 import griffe
 import pytest
+from page_helpers import DOCS, ROOT
 from site_helpers import read_settings
 
-ROOT = Path(__file__).parents[1]
-REFERENCE = "\n".join(page.read_text() for page in sorted((ROOT / "docs" / "api").glob("*.md")))
+REFERENCE = "\n".join(page.read_text() for page in sorted((DOCS / "api").glob("*.md")))
 ENTRIES = re.findall(r"^::: (\S+)$", REFERENCE, re.MULTILINE)
 IN_TABLES = set(re.findall(r"^\| `(\w+)` \|", REFERENCE, re.MULTILINE))  # types and constants, which have no docstring
 
