@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from page_helpers import read_page
 
-PAGE = (Path(__file__).parents[1] / "docs" / "tutorial-plugin.md").read_text()
+PAGE = read_page("tutorial-plugin.md")
 BLOCK = re.compile(r"(?:^`(?P<path>[\w/.-]+)`\n\n)?^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 OFFLINE = {"PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
 FEWER = (

@@ -80,10 +80,6 @@ def test_every_direct_dependency_is_pinned_to_an_allowed_version():
     assert refused == []
 
 
-def test_a_plugin_that_needs_torch_gets_the_pinned_release():
-    assert constraints()["torch"] == "2.13.0"
-
-
 def test_the_command_and_the_plugin_group_are_installed():
     installed = metadata.distribution(PROJECT).entry_points
     (script,) = installed.select(group="console_scripts", name=PROJECT)
@@ -95,14 +91,10 @@ def test_the_command_and_the_plugin_group_are_installed():
     "name",
     ["constraints.txt", "Makefile", "pyproject.toml", ".ci/run", *(f"scripts/{p.name}" for p in SCRIPTS.glob("*.sh"))],
 )
-def test_installation_files_contain_no_machine_paths(name):
-    text = (ROOT / name).read_text()
-    assert [line for line in text.splitlines() if MACHINE_SPECIFIC.search(line.replace("/path/to/", ""))] == []
-
-
-@pytest.mark.parametrize("name", [".ci/run", *(f"scripts/{p.name}" for p in SCRIPTS.glob("*.sh"))])
-def test_scripts_are_executable(name):
-    assert (ROOT / name).stat().st_mode & 0o111
+def test_installation_files_contain_no_machine_paths_and_scripts_are_executable(name):
+    lines = (ROOT / name).read_text().splitlines()
+    assert [line for line in lines if MACHINE_SPECIFIC.search(line.replace("/path/to/", ""))] == []
+    assert name.endswith((".txt", "file", ".toml")) or (ROOT / name).stat().st_mode & 0o111
 
 
 @pytest.fixture(scope="module")
