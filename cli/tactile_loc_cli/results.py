@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tactile_loc.locate.result.hypothesis import Hypothesis
     from tactile_loc.locate.result.localization import Localization
     from tactile_loc.locate.touch_files import LocatedFile
-    from tactile_loc.planning.next_touch_files import NextTouchRecord, RatedRecord
+    from tactile_loc.planning.next_touch import NextTouch, RatedApproach
     from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord
 
 IMPRINT = "imprint IoU %"
@@ -171,43 +171,45 @@ def _list_hand_eye_cells(touch: HandEyeTouchRecord) -> list[str]:
     return [touch.name, *(f"{v:z.2f}" for v in off), f"{100 * (touch.imprint_iou or 0.0):.0f}"]
 
 
-def say_next_touch(record: NextTouchRecord, top: int) -> None:
+def say_next_touch(found: NextTouch, top: int) -> None:
     """Write the best approaches, the approaches out of reach, and the poses that no approach distinguishes."""
-    say(f"{record.object}: {len(record.modes)} possible poses, entropy {record.entropy_nats:.2f} nats")
+    modes = found.modes
+    say(f"{modes.object_names}: {len(modes.probabilities)} possible poses, entropy {modes.entropy:.2f} nats")
     header = ["rank", "approach", "information nats", "entropy left nats", "contact %", "travel mm", "cost", "worth"]
-    say_table([header, *map(_list_rated_cells, record.ranked[:top])], left=2, gap=2)
-    for one in record.out_of_reach[:top]:
-        say(f"out of reach: {one.name} {one.reason}")
-    if (more := len(record.out_of_reach) - top) > 0:
+    rows = [[str(rank), *_list_rated_cells(one)] for rank, one in enumerate(found.ranked[:top], 1)]
+    say_table([header, *rows], left=2, gap=2)
+    for one, reason in found.out_of_reach[:top]:
+        say(f"out of reach: {one.name} {reason}")
+    if (more := len(found.out_of_reach) - top) > 0:
         say(f"out of reach: {more} more; next_touch.json has the reasons")
-    if record.unlisted > LEAST_SHOWN:
+    if modes.unlisted > LEAST_SHOWN:
         say(
-            f"{100 * record.unlisted:.0f} % of the probability belongs to poses not listed in the result; "
+            f"{100 * modes.unlisted:.0f} % of the probability belongs to poses not listed in the result; "
             "run --top N lists more"
         )
-    if set(record.symmetry.split(" or ")) != {"none"}:
-        say(f"symmetric poses ({record.symmetry}) count as one: no touch distinguishes them")
-    for group in record.alike:
-        say(f"no approach distinguishes poses {', '.join(map(record.name_mode, group))}")
-    if record.stops:
-        count = next(len(group) for group in record.alike if 1 in group)
+    if set(modes.symmetries.split(" or ")) != {"none"}:
+        say(f"symmetric poses ({modes.symmetries}) count as one: no touch distinguishes them")
+    for group in found.alike:
+        say(f"no approach distinguishes poses {', '.join(map(modes.name_mode, group))}")
+    if found.stops:
+        count = next(len(group) for group in found.alike if 0 in group)
         say(f"no further touch of these can tell these {count} poses apart: stop")
-    if record.alike:
+    if found.alike:
         say(
             "even after any of these approaches, the most probable pose is wrong with a probability of at least "
-            f"{100 * record.doubt_left:.0f} %"
+            f"{100 * found.doubt_left:.0f} %"
         )
 
 
-def _list_rated_cells(one: RatedRecord) -> list[str]:
-    travel_m = [m for m in one.travel_m if m is not None]
-    travel = f"{1e3 * min(travel_m):.1f} to {1e3 * max(travel_m):.1f}" if travel_m else "-"
-    numbers = [f"{one.information_nats:z.2f}", f"{one.entropy_nats:z.2f}", f"{100 * one.meets:.0f}"]
-    return [str(one.rank), one.name, *numbers, travel, f"{one.cost:g}", f"{one.worth:.2f}"]
+def _list_rated_cells(one: RatedApproach) -> list[str]:
+    travel_mm = 1e3 * one.travel_m[np.isfinite(one.travel_m)]
+    travel = f"{travel_mm.min():.1f} to {travel_mm.max():.1f}" if len(travel_mm) else "-"
+    numbers = [f"{one.information:z.2f}", f"{one.entropy:z.2f}", f"{100 * one.meets:.0f}"]
+    return [one.approach.name, *numbers, travel, f"{one.cost:g}", f"{one.worth:.2f}"]
 
 
-def say_identification(record: IdentificationRecord) -> None:
-    """Write the verdict, and a table of the located objects, the most probable first."""
+def say_identification(record: IdentificationRecord, next_touch: NextTouch | None) -> None:
+    """Write the verdict, a table of the located objects, the most probable first, and the next touch, if any."""
     from tactile_loc.tasks.identify_files import NONE_OF_THESE
 
     header = ["object", "prob. %", "misfit nats", IMPRINT, *POSE]
@@ -217,8 +219,8 @@ def say_identification(record: IdentificationRecord) -> None:
     say_table([header, *map(_list_known_cells, located), none], left=1, gap=2)
     if others := len(record.objects) - len(located):
         say(f"not located, because others explain the touches better or no pose explains them: {others} more")
-    if record.next_touch is not None:
-        say_next_touch(record.next_touch, NEXT_TOUCHES)
+    if next_touch is not None:
+        say_next_touch(next_touch, NEXT_TOUCHES)
 
 
 def _list_known_cells(one: KnownObjectRecord) -> list[str]:

@@ -29,7 +29,7 @@ from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.io.touches import read_touch
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.planning.next_touch import choose_next_touch
-from tactile_loc.planning.next_touch_files import make_next_touch_record
+from tactile_loc.planning.next_touch_files import write_next_touch
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.sensors.calibration.frames import read_frames
 from tactile_loc.sensors.calibration.presses import convert, read_presses
@@ -165,7 +165,7 @@ def _reported(folder: Path) -> None:
 def _next_touch(folder: Path) -> None:
     found = Localization.load(folder)
     approaches = _approaches(folder, found.touch.T_base_sensor)[:1]
-    make_next_touch_record(choose_next_touch(PoseModes.of(found), approaches))
+    write_next_touch(choose_next_touch(PoseModes.of(found), approaches))
 
 
 def _compared(folder: Path) -> None:

@@ -14,7 +14,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
 from tactile_loc.locate.result.verdict import explain_verdict, name_verdict
 from tactile_loc.locate.touch_files import LocatedFile
-from tactile_loc.planning.next_touch_files import NextTouchRecord, RatedRecord
+from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import draw_shape, encode_gallery
 from tactile_loc.tasks.identify_files import NONE_OF_THESE, IdentificationRecord, KnownObjectRecord
@@ -45,26 +45,28 @@ def make_identification_page(record: IdentificationRecord, touches: Sequence[Tou
     return _make_page(record.summary(), f"touches: {', '.join(record.touches)}", sections)
 
 
-def make_next_touch_page(record: NextTouchRecord, picture: Path) -> Page:
+def make_next_touch_page(found: NextTouch, picture: Path) -> Page:
     """Return the page of a next touch; `picture` is the file that `draw_next_touch` gave."""
-    best = record.ranked[0]
+    best, modes = found.best, found.modes
+    possible = f"of {len(modes.probabilities)} possible poses; 0: one is certain"
     numbers = [
-        ("best approach", best.name, f"of {len(record.ranked)}"),
-        ("entropy now", f"{record.entropy_nats:.2f} nats", f"of {len(record.modes)} possible poses; 0: one is certain"),
-        ("expected entropy", f"{best.entropy_nats:.2f} nats", "after the best approach"),
+        ("best approach", best.approach.name, f"of {len(found.ranked)}"),
+        ("entropy now", f"{modes.entropy:.2f} nats", possible),
+        ("expected entropy", f"{best.entropy:.2f} nats", "after the best approach"),
         ("contact", format_percent(best.meets), "probability that the best approach meets the object"),
     ]
-    notes = [f"No approach distinguishes poses {', '.join(map(str, group))}." for group in record.alike]
-    notes += [f"Out of reach: {one.name} {one.reason}." for one in record.out_of_reach]
+    groups = [", ".join(str(number + 1) for number in group) for group in found.alike]
+    notes = [f"No approach distinguishes poses {group}." for group in groups]
+    notes += [f"Out of reach: {one.name} {reason}." for one, reason in found.out_of_reach]
     header = ("rank", "approach", "information (nats)", "entropy left (nats)", "contact (%)", "cost")
-    rows = [_list_rated_cells(one) for one in record.ranked]
+    rows = [[str(rank), *_list_rated_cells(one)] for rank, one in enumerate(found.ranked, 1)]
     sections = [
         Section("summary", "", {"numbers": numbers, "notes": notes}),
         Section("drawing", "Contact shapes", _embed(picture, "the best approach's contact shape at each pose")),
         Section("rows", "Approaches", {"header": header, "rows": rows, "left": 2, "note": "", "label": "approaches"}),
     ]
-    title = f"next touch of {record.object}: {best.name}"
-    return _make_page(title, f"symmetry {record.symmetry}; {len(record.ranked)} approaches", sections)
+    title = f"next touch of {modes.object_names}: {best.approach.name}"
+    return _make_page(title, f"symmetry {modes.symmetries}; {len(found.ranked)} approaches", sections)
 
 
 def make_hand_eye_page(record: HandEyeRecord, picture: Path) -> Page:
@@ -134,9 +136,9 @@ def _list_known_cells(one: KnownObjectRecord) -> list[str]:
     return [one.name, *numbers, *format_pose(np.array(best.T_sensor_object))]
 
 
-def _list_rated_cells(one: RatedRecord) -> list[str]:
-    numbers = [f"{one.information_nats:.2f}", f"{one.entropy_nats:.2f}", f"{100 * one.meets:.0f}"]
-    return [str(one.rank), one.name, *numbers, f"{one.cost:g}"]
+def _list_rated_cells(one: RatedApproach) -> list[str]:
+    numbers = [f"{one.information:.2f}", f"{one.entropy:.2f}", f"{100 * one.meets:.0f}"]
+    return [one.approach.name, *numbers, f"{one.cost:g}"]
 
 
 def _list_hand_eye_cells(one: HandEyeTouchRecord) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -19,7 +20,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.stored_object import list_mesh_files, load_stored_object
 from tactile_loc.planning.next_touch import NextTouch
-from tactile_loc.planning.next_touch_files import NextTouchRecord, make_next_touch_record
+from tactile_loc.planning.next_touch_files import write_next_touch
 from tactile_loc.store.store import StageStore
 from tactile_loc.tasks.identify import LEAST_REPORTED, Identification
 from tactile_loc.tasks.library import Library
@@ -70,7 +71,7 @@ class IdentificationRecord(Record):
     identified: str | None = Field(description="the object that they are of; null: none of these is more probable")
     none: float = Field(description="probability that they are of none of these objects, 0 to 1")
     objects: list[KnownObjectRecord] = Field(description="the library, the most probable first")
-    next_touch: NextTouchRecord | None = Field(
+    next_touch: dict[str, Any] | None = Field(
         default=None, description="the rated approaches, as in next_touch.json; null: none was asked for"
     )
 
@@ -121,7 +122,7 @@ def make_identification_record(
     """Make the record of an identification; `touches` are the touches' names."""
     return IdentificationRecord(
         touches=touches, verdict=found.verdict, identified=None if found.best is None else found.best.name,
-        none=found.none, next_touch=None if next_touch is None else make_next_touch_record(next_touch),
+        none=found.none, next_touch=None if next_touch is None else write_next_touch(next_touch),
         objects=[
             KnownObjectRecord(
                 name=one.name, probability=one.probability, alike=one.alike, rough_iou=one.rough_iou,

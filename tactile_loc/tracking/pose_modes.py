@@ -75,6 +75,20 @@ class PoseModes:
         distinct = list(dict.fromkeys(self.mode_objects))
         return tuple((one, np.flatnonzero([other is one for other in self.mode_objects])) for one in distinct)
 
+    @property
+    def object_names(self) -> str:
+        """The name of the object, or the names of all possible objects."""
+        return " or ".join(obj.name for obj, _ in self.by_object)
+
+    @property
+    def symmetries(self) -> str:
+        """The symmetry of the object, or those of all possible objects."""
+        return " or ".join(str(obj.symmetry) for obj, _ in self.by_object)
+
+    def name_mode(self, number: int) -> str:
+        """Return a mode's number, from 0, as people count, with the object's name if several objects are possible."""
+        return f"{number + 1} ({self.mode_objects[number].name})" if len(self.by_object) > 1 else str(number + 1)
+
 
 def measure_sharpness(imprint_ious: Sequence[float]) -> float:
     """Return how many times as much evidence contacts give as with strong noise.

@@ -12,10 +12,12 @@ from message_helpers import missing
 from PIL import Image
 from report_helpers import UNFRIENDLY, Elements
 
+from tactile_loc.io.approach_files import Approach
 from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.touch_files import LocatedFile
-from tactile_loc.planning.next_touch_files import ModeRecord, NextTouchRecord, OutOfReachRecord, RatedRecord
+from tactile_loc.planning.next_touch import NextTouch, RatedApproach
+from tactile_loc.planning.next_touch_files import write_next_touch
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.tasks import (
     make_folder_page,
@@ -24,6 +26,7 @@ from tactile_loc.reports.tasks import (
     make_next_touch_page,
 )
 from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord, PoseRecord
+from tactile_loc.tracking.pose_modes import PoseModes
 
 EYE = np.eye(4).tolist()
 
@@ -87,38 +90,22 @@ def test_a_folder_counts_its_verdicts(localization):
     assert not missing(shown.text, "a.npz", "b.npz", "c.npz is no touch", "2 touches are not drawn")
 
 
-def test_a_next_touch_shows_the_best_approach(picture):
-    rated = [
-        RatedRecord(
-            rank=k,
-            name=f"approach {k}",
-            T_base_sensor=EYE,
-            press_m=None,
-            information_nats=0.9,
-            cost=1.0,
-            entropy_nats=0.3,
-            meets=0.8,
-            travel_m=[0.01, None],
-        )
+def test_a_next_touch_shows_the_best_approach(localizer, picture):
+    geometry, T = localizer.sensor.geometry, np.stack([np.eye(4)] * 2)
+    modes = PoseModes(localizer.object, T, np.array([0.5, 0.5]), geometry, 1e-3)
+    rated = tuple(
+        RatedApproach(Approach(np.eye(4), name=f"approach {k}"), 0.9, 0.8, 0.3, 0.8, np.array([0.01, np.nan]), 1.0)
         for k in (1, 2)
-    ]
-    record = NextTouchRecord(
-        object="hook",
-        symmetry="none",
-        modes=[ModeRecord(probability=0.5, T_base_object=EYE)] * 2,
-        unlisted=0.0,
-        entropy_nats=1.2,
-        ranked=rated,
-        out_of_reach=[OutOfReachRecord(name="far", reason="is too far")],
-        alike=[[1, 2]],
-        doubt_left=0.5,
     )
-    page = make_next_touch_page(record, picture)
-    assert page.title == "next touch of hook: approach 1"
-    found = read(page)
-    assert not missing(found.text, "1.20 nats", "far is too far", "poses 1, 2")
+    found = NextTouch(modes, rated, ((Approach(np.eye(4), name="far"), "is too far"),), localizer.scene)
+    vars(found)["alike"] = ((0, 1),)  # otherwise it is found by drawing
+    page = make_next_touch_page(found, picture)
+    assert page.title == "next touch of pin: approach 1"
+    shown = read(page)
+    assert not missing(shown.text, "0.69 nats", "far is too far", "poses 1, 2")
     assert {"approach 1", "approach 2", "0.90", "0.30", "80"} <= set(list_cells(page))
-    assert len(found.named("img")) == 1
+    assert len(shown.named("img")) == 1
+    assert write_next_touch(found)["ranked"][1]["travel_m"] == [0.01, None]
 
 
 def test_a_mount_shows_its_residuals_and_deviations(picture):

@@ -92,7 +92,7 @@ def identify(
     found = identify_touches(touches, library, located, null)
     approaches, chosen = _rate_approaches(found, touches, candidates, around)
     record = make_identification_record(found, [one.name for one in touches], chosen)
-    say_identification(record)
+    say_identification(record, chosen)
     files = [write_record(out / "identification.json", record)]
     if around is not None and approaches:
         files.append(write_approaches(out / DRAWN, approaches, touches[0].T_base_sensor is not None))

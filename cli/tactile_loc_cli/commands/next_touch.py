@@ -94,10 +94,10 @@ def next_touch(
     cost. The output also names the poses that no approach distinguishes, and says when to stop.
     """
     from tactile_loc.io.approach_files import write_approaches
-    from tactile_loc.io.streams.records import write_record
     from tactile_loc.locate.result.localization import Localization
     from tactile_loc.planning.next_touch import choose_next_touch as choose
-    from tactile_loc.planning.next_touch_files import make_next_touch_record
+    from tactile_loc.planning.next_touch_files import write_next_touch
+    from tactile_loc.store.files import write_json
     from tactile_loc.tracking.pose_modes import PoseModes
     from tactile_loc.view.pictures import save_figure
     from tactile_loc.view.tasks import draw_next_touch
@@ -111,11 +111,11 @@ def next_touch(
     approaches = find_approaches(candidates, around, seed, modes, T_base_sensor, body)
     require_writable(out)
     found = choose(modes, approaches, clearance=clearance)
-    record = make_next_touch_record(found)
-    say_next_touch(record, top)
-    title = f"{record.object}: {len(record.modes)} possible poses, {len(record.ranked)} approaches"
+    document = write_next_touch(found)
+    say_next_touch(found, top)
+    title = f"{modes.object_names}: {len(modes.probabilities)} possible poses, {len(found.ranked)} approaches"
     written = [
-        write_record(out / "next_touch.json", record),
+        write_json(out / "next_touch.json", document),
         save_figure(out / "next_touch.png", draw_next_touch(found, title)),
     ]
     if around is not None:
@@ -124,8 +124,8 @@ def next_touch(
         from tactile_loc.reports.report import DEFAULT_NAME, write_page
         from tactile_loc.reports.tasks import make_next_touch_page
 
-        written.append(write_page(make_next_touch_page(record, written[1]), out / DEFAULT_NAME))
-    return {**record.model_dump(mode="json"), "written": say_written(written)}
+        written.append(write_page(make_next_touch_page(found, written[1]), out / DEFAULT_NAME))
+    return {**document, "written": say_written(written)}
 
 
 def find_approaches(
