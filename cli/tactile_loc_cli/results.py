@@ -32,9 +32,8 @@ def make_title(found: Localization) -> str:
     """Return the picture's title: verdict, object, sensor, stated probability, and error if it is known."""
     errors_m = found.measure_errors_m(found.object)
     error = "" if errors_m is None else f"error {format_millimetres(errors_m[0])}"
-    return ", ".join(
-        filter(None, (f"{found.verdict}: {found.object.name} on {found.sensor_name}", found.describe_within(), error))
-    )
+    text = f"{found.verdict}: {found.object.name} on {found.made_with.sensor_name}"
+    return ", ".join(filter(None, (text, found.describe_within(), error)))
 
 
 def say_result(found: Localization) -> None:
@@ -52,7 +51,7 @@ def say_result(found: Localization) -> None:
         say(f"open: {found.freedom}")
     if next_step:
         say(f"next: {next_step}")
-    frame = f"frame of {found.sensor_name}" if found.best.T_base_object is None else "base frame"
+    frame = f"frame of {found.made_with.sensor_name}" if found.best.T_base_object is None else "base frame"
     say(f"{found.object.name} in the {frame}, {_describe_touches(found)}")
     rows = [[str(rank), *_list_cells(h)] for rank, h in enumerate(found.hypotheses, 1)]
     if errors_m is not None:

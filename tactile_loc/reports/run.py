@@ -55,7 +55,7 @@ def make_result_page(found: Localization) -> Page:
         Section("times", "Times", {"built": "" if seconds is None else f"{seconds:.3g}"}),
         Section("made", "Settings", _describe_settings(found)),
     ]
-    title = f"{found.verdict}: {found.object.name} on {found.sensor_name}"
+    title = f"{found.verdict}: {found.object.name} on {found.made_with.sensor_name}"
     return Page("run", title, _write_about(found), sections, data, ["solids.js", "run.js"])
 
 

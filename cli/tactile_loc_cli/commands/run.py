@@ -207,7 +207,7 @@ def _write_result(
     else:
         figure = draw_touching_again(alone, localization, make_title(localization))
     with lock_folder(out):
-        written = [*localization.write_files(out), save_figure(out / "result.png", figure)]
+        written = [*localization.save(out, locked=True), save_figure(out / "result.png", figure)]
         if page:
             from tactile_loc.reports.report import DEFAULT_NAME, write_page
             from tactile_loc.reports.run import make_result_page

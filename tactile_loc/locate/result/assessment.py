@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
+from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.streams.records import read_versions
 from tactile_loc.locate.result.freedom import Freedom
@@ -78,3 +80,10 @@ class Origin:
         packages = {slot: registry().find(slot, getattr(config, slot).name).distribution for slot in SLOTS}
         created = datetime.now(UTC).isoformat(timespec="seconds")
         return cls(created, read_versions(), config.resolve(), packages)
+
+    @property
+    def sensor_name(self) -> str:
+        """The name of the first touch's sensor, or of its file."""
+        sensor = self.configuration["sensor"]
+        path = sensor["options"].get("path")
+        return show_name(Path(path).stem) if path else str(sensor["name"])

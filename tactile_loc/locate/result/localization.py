@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.runtime.errors import ResultError, TactileLocError
-from tactile_loc.core.runtime.formatting import format_percent, show_name
+from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.scene import Scene, View, view_touch
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
@@ -69,30 +70,18 @@ class Localization:
     assessed: Assessment | None = None
     origin: Origin | None = None
 
-    def save(self, folder: str | Path) -> list[Path]:
+    def save(self, folder: str | Path, locked: bool = False) -> list[Path]:
         """Write `result.json` and `result.npz`, the files of `tactile-loc run`, and return their paths.
 
-        Each file is written atomically. Raises OutputError when writing fails, and ResultError if `config` is unknown.
+        Each file is written atomically. The folder is locked meanwhile, unless it is `locked` by the caller. Raises
+        OutputError when writing fails, and ResultError if `config` is unknown.
         """
-        folder = Path(folder)
-        document = self.to_json()  # raises before the folder is made
-        with lock_folder(folder):
-            return self.write_files(folder, document)
-
-    def write_files(self, folder: Path, document: dict[str, Any] | None = None) -> list[Path]:
-        """Do as `save` in a folder that is locked already; `document` is that of `to_json`, if it exists already."""
-        document = self.to_json() if document is None else document
-        return [
-            write_json(folder / result_json.NAME, document),
-            result_arrays.write_arrays(folder / result_arrays.NAME, self._pack_arrays(), document),
-        ]
-
-    def reduce(self) -> Localization:
-        """Return the result as its files keep it (see `load`). Raises ResultError if `config` is unknown."""
-        return self._of_files(self.to_json(), self._pack_arrays(), self._require_config())
-
-    def _pack_arrays(self) -> result_arrays.Arrays:
-        return result_arrays.pack_arrays(self.posterior, self.touches, self.left_out)
+        folder, document = Path(folder), self.to_json()
+        with nullcontext() if locked else lock_folder(folder):
+            return [
+                write_json(folder / result_json.NAME, document),
+                result_arrays.write_arrays(folder / result_arrays.NAME, self._pack_arrays(), document),
+            ]
 
     @classmethod
     def load(cls, path: str | Path) -> Localization:
@@ -135,6 +124,13 @@ class Localization:
             assessed=result_json.read_assessment(document, float(np.exp(arrays["log_p"]).sum())),
             origin=Origin(**{name: document[name] for name in Origin.__dataclass_fields__}),
         )
+
+    def reduce(self) -> Localization:
+        """Return the result as its files keep it (see `load`). Raises ResultError if `config` is unknown."""
+        return self._of_files(self.to_json(), self._pack_arrays(), self._require_config())
+
+    def _pack_arrays(self) -> result_arrays.Arrays:
+        return result_arrays.pack_arrays(self.posterior, self.touches, self.left_out)
 
     def to_json(self) -> dict[str, Any]:
         """Return the document of `result.json`, as JSON values. Raises ResultError if `config` is unknown."""
@@ -380,14 +376,6 @@ class Localization:
         if elsewhere >= MOST_ELSEWHERE:
             return f"{count} poses found, but the true pose is probably elsewhere"
         return f"{count} likely poses found, {format_percent(elsewhere)} probability that the true pose is elsewhere"
-
-    @property
-    def sensor_name(self) -> str:
-        """The name of the first touch's sensor, or of its file."""
-        if self.config is None:
-            return "a sensor"
-        path = self.config.sensor.options.get("path")
-        return show_name(Path(path).stem) if path else self.config.sensor.name
 
     def __str__(self) -> str:
         return self.summary()
