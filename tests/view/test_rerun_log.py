@@ -73,21 +73,6 @@ def test_a_result_logs_its_posterior(rerun, localizer, localization, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
 
 
-def test_the_ellipsoid_has_the_rotation_of_the_covariance(rerun, localizer, tmp_path):
-    R = rotation_about([1, 1, 0], 0.5)
-    turned = C.copy()
-    turned[:3, :3] = R @ C[:3, :3] @ R.T
-    with RerunLog(tmp_path / "a.rrd", localizer.scene) as log:
-        log.add(0, 0.0, DrawnScene.of_frame(localizer.scene, replace(located(), covariance=turned)))
-    from tactile_loc.core.geometry.rigid import quaternion_to_rotation
-
-    found = read(tmp_path / "a.rrd")["base/sensor/uncertainty"]
-    x, y, z, w = found["Ellipsoids3D:quaternions"][0][0]
-    axes = quaternion_to_rotation(np.array([w, x, y, z]))
-    half = np.array(found["Ellipsoids3D:half_sizes"][0][0]) / DEVIATIONS
-    np.testing.assert_allclose(axes @ np.diag(half**2) @ axes.T, turned[:3, :3], atol=1e-12)
-
-
 def test_the_text_of_a_frame_needs_no_pose_and_no_covariance():
     assert describe_located(None, "no contact") == "no contact"
     assert describe_located(LocatedFrame(None, says="damaged")) == "refused\ndamaged"
