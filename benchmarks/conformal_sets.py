@@ -34,7 +34,7 @@ from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches, measure_noisily
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.probability.conformal_fit import LISTED
+from tactile_loc.locate.probability.conformal import LISTED
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore

@@ -341,8 +341,9 @@ def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | Non
     kept, chosen = StageStore(store), config.object
     obj = obj or load_stored_object(chosen.path, chosen.units, chosen.symmetry, kept)
     localizer = Localizer(config, obj, kept, make_progress())
-    if localizer.other_refinement and is_shown(logging.WARNING):
-        complain("note", localizer.other_refinement)
+    note = localizer.refinement.describe_other_tasks(localizer.sampler.capabilities.places)
+    if note and is_shown(logging.WARNING):
+        complain("note", note)
     return localizer
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.poses.posterior import PosePosterior, require_posterior
+from tactile_loc.core.poses.posterior import PosePosterior, require_pose_left
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.evaluation.metrics import compute_adds
 from tactile_loc.evaluation.protocol import describe_located, sample_surface, save_in_shards
@@ -163,7 +163,7 @@ def _fuse(fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Pose
     fused = fuser.fuse(posteriors, list(T_base_sensor))
     if isinstance(fused, PosePosterior):
         return fused, False
-    return require_posterior(fuser.fuse(posteriors[:1], [T_base_sensor[0]])), True
+    return require_pose_left(fuser.fuse(posteriors[:1], [T_base_sensor[0]])), True
 
 
 def _draw(posterior: PosePosterior, lot: float) -> int:

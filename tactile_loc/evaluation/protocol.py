@@ -240,7 +240,8 @@ def describe_located(localizer: Localizer, touches: SimulatedTouches, count: int
     """Return all inputs of the posteriors of `count` simulated touches, also fused, as JSON values."""
     matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
     return {
-        **localizer.describe_scores(), "temperature_scaling": asdict(localizer.probabilities.temperature_scaling),
+        **localizer.source.describe_scores(),
+        "temperature_scaling": asdict(localizer.probabilities.temperature_scaling),
         "matcher": matcher.describe(),
         "fuser": localizer.fuser.describe(), **touches.describe(localizer), "count": count,
     }  # fmt: skip

@@ -19,7 +19,7 @@ from tactile_loc.core.sensing.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.probability.nearness import NATS_PER_IOU
 from tactile_loc.locate.probability.probabilities import TemperatureScaling
-from tactile_loc.locate.result.localization import Hypothesis
+from tactile_loc.locate.result.hypothesis import Hypothesis
 
 # A pose that leaves the share x of the imprints of N touches unexplained has the score -ln(x + LEAST_UNEXPLAINED). The
 # temperature is 1 / (N SHARPNESS_OF_ONE).

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self, cast
@@ -15,28 +15,28 @@ from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.places.places import Places
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
-from tactile_loc.core.poses.posterior import PosePosterior, require_posterior
+from tactile_loc.core.poses.posterior import PosePosterior, require_pose_left
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.runtime.compiled import use_one_blas_thread
 from tactile_loc.core.runtime.errors import ConfigError, TouchError, quote
 from tactile_loc.core.runtime.progress import Progress, StageTimes
-from tactile_loc.core.sensing.noise import TouchNoise, make_noise
+from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.scene import Scene, View, view_touch
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.touches import read_touch
 from tactile_loc.locate.method import Coverage, LocatingMethod, Query, Refinement
-from tactile_loc.locate.outliers import localize_all, require_within_reach
+from tactile_loc.locate.outliers import localize_agreeing, require_within_reach
+from tactile_loc.locate.pipeline import locate_most_probable
 from tactile_loc.locate.probability.conformal import ConformalSets
-from tactile_loc.locate.probability.conformal_fit import LISTED, RIGHT_M, ConformalFit
+from tactile_loc.locate.probability.conformal_fit import ConformalFit
 from tactile_loc.locate.probability.fitted_probabilities import FittedProbabilities
 from tactile_loc.locate.probability.probabilities import Scalings, TemperatureScaling
-from tactile_loc.locate.result.hypothesis import Hypothesis, JudgedHypothesis
+from tactile_loc.locate.result.hypothesis import JudgedHypothesis
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.verdict import judge
-from tactile_loc.locate.sources.listed_grid import STAGE_VERSIONS, ListedSource, ObjectPoseModel
+from tactile_loc.locate.sources.listed_grid import ListedSource, ObjectPoseModel
 from tactile_loc.locate.sources.scoring import NewMatcher
 from tactile_loc.locate.sources.source import FindPlaces, PoseSource, Scored, SourceSetup
 from tactile_loc.locate.sources.whole_object import WholeObjectSource
@@ -72,9 +72,11 @@ class Localizer:
         self.encoder = self._create("encoder")
         self.fuser = self._create("fuser")
         self.registration = JointRegistration()
-        self.refinement = Refinement(self._create("refiner"), self.registration, config.together)
+        self.refinement = Refinement(self._create("refiner"), config.refiner.name, self.registration, config.together)
         renderer = self._create("renderer")
-        self._require_compatible(renderer)
+        made = {"sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "fuser": self.fuser}
+        made |= {"refiner": self.refinement.refiner, "renderer": renderer, "matcher": self._create("matcher")}
+        require_compatible(made, {slot: getattr(self.config, slot).name for slot in made})
         self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
 
     @cached_property
@@ -84,9 +86,15 @@ class Localizer:
 
     @classmethod
     def create(
-        cls, object: str | Path = "hook", *, units: Units = "auto", symmetry: str = "auto",
-        store: StageStore | str | Path | None = None, progress: Progress | None = None, **settings: Any,
-    ) -> Self:  # fmt: skip
+        cls,
+        object: str | Path = "hook",
+        *,
+        units: Units = "auto",
+        symmetry: str = "auto",
+        store: StageStore | str | Path | None = None,
+        progress: Progress | None = None,
+        **settings: Any,
+    ) -> Self:
         """Load an object (a mesh file, or a demo object's name) and make its localizer; `store` may be a folder.
 
         `settings` are the entries of RunConfig: slots by name (`refiner="icp"`) or with options (`grid={"name": "face",
@@ -104,13 +112,6 @@ class Localizer:
     def _create(self, slot: str) -> Any:
         chosen = getattr(self.config, slot)
         return registry().create(slot, chosen.name, chosen.options)
-
-    def _require_compatible(self, renderer: Any) -> None:
-        made = {
-            "sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "refiner": self.refinement.refiner,
-            "fuser": self.fuser, "renderer": renderer, "matcher": self._create("matcher"),
-        }  # fmt: skip
-        require_compatible(made, {slot: getattr(self.config, slot).name for slot in made})
 
     # touches
 
@@ -134,9 +135,13 @@ class Localizer:
         return simulate_touches(self.sampler, self.scene, count, rng, press_depth_m, make_noise(noise))
 
     def simulate_together(
-        self, count: int = 3, seed: int = 0, press_depth_m: float | None = None, noise: str = "none",
+        self,
+        count: int = 3,
+        seed: int = 0,
+        press_depth_m: float | None = None,
+        noise: str = "none",
         opposed: bool = False,
-    ) -> list[Touch]:  # fmt: skip
+    ) -> list[Touch]:
         """Simulate touches of one object at rest, with known true poses and sensor poses `T_base_sensor`.
 
         The touches are drawn as by `simulate`. With `opposed`, they are pairs of a gripper's two fingers, so that the
@@ -209,63 +214,17 @@ class Localizer:
         """The fitted probabilities: temperatures, each fitted at first use and stored."""
         exact = self._create("matcher").capabilities.top_k_only
         source = self._make_source(ExactMatcher) if exact else self.source
-        return FittedProbabilities(source, self.fuser, self._simulate_to_fit, self.describe_scores)
+        return FittedProbabilities(source, self.fuser)
 
     @cached_property
     def conformal_sets(self) -> ConformalSets:
         """The conformal sets for a coverage, fitted at first use and stored: see `PoseSet`."""
-        refiner, config = self.refinement.refiner, self.config
-        temperature = self.probabilities.temperature_scaling  # fitted first, with its own progress
-        described = {
-            **self.describe_scores(),
-            "temperature": asdict(temperature),
-            "sampler": self.sampler.describe(),
-            "fuser": self.fuser.describe(),
-            "refiner": refiner.describe(),
-            "together": config.together,
-            "hypotheses": config.hypotheses.model_dump(mode="json"),
-            "listed": LISTED,
-        }
-        radius_m = RIGHT_M if refiner.capabilities.refines else self.mode_radius_m
-        fit = ConformalFit(self._simulate_to_fit, self._locate_example, self._setup, radius_m, described)
-        return fit.load()
-
-    def _locate_example(self, touches: Sequence[Touch]) -> Localization:
-        """Locate simulated touches to fit conformal sets."""
-        method = make_method([(self, touch) for touch in touches])
-        config = self.config.model_copy(update={"drop_outliers": False})
-        return localize_all(Query(self.make_views(touches), top=LISTED), replace(method, config=config))
-
-    def _simulate_to_fit(self, count: int, seed: int, noise: TouchNoise) -> list[Touch]:
-        return simulate_touches(self.sampler, self.scene, count, np.random.default_rng(seed), noise=noise)
-
-    def describe_scores(self) -> dict[str, Any]:
-        """Return all inputs of the scores except the touch, as JSON values; trains the encoder if necessary.
-
-        The matcher is left out, because all matchers that score all poses compute the same scores.
-        """
-        return {
-            **self.source.describe(),
-            "sensor": self.sensor.geometry.describe(),
-            "encoder": self.encoder.describe(),
-            "training": STAGE_VERSIONS["encoder"],
-            "bank": STAGE_VERSIONS["bank"],
-        }
-
-    @property
-    def other_refinement(self) -> str:
-        """The tasks that the joint registration does instead of the chosen refiner, and the reason; "" if none."""
-        return self.refinement.explain_others(self.config.refiner.name, self.sampler.capabilities.places)
+        return ConformalFit(make_method([self])).load()
 
     @property
     def mode_radius_m(self) -> float:
         """Distance below which poses belong to one mode, metres."""
         return self._setup.mode_radius_m
-
-    @property
-    def merge_radius_m(self) -> float:
-        """Distance below which refined poses count as one hypothesis, metres."""
-        return self._setup.merge_radius_m
 
     def make_views(self, touches: Sequence[Touch]) -> list[View]:
         """Return the views of touches of this sensor, in the sensor frame of the first one."""
@@ -291,12 +250,9 @@ class Localizer:
         Touches of equal press depth are matched together. Raises TactileLocError if no pose fits one of the touches.
         """
         times = StageTimes()
-        alone = self.posteriors(touches, times)
-        each = times.shared_among(len(touches))
-        return [
-            localize_all(make_query([(self, touch)], top=top, times=each), make_method([(self, touch)]), Scored([one]))
-            for touch, one in zip(touches, alone, strict=True)
-        ]
+        alone, asked = self.posteriors(touches, times), [[(self, touch)] for touch in touches]
+        queries = [make_query(one, None, top, times.shared_among(len(touches))) for one in asked]
+        return [_answer(*each) for each in zip(queries, asked, map(Scored, ([one] for one in alone)), strict=True)]
 
     def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
         """Return the posterior over the grid's poses given a touch and a prior. Adds stage durations to `times`."""
@@ -304,9 +260,12 @@ class Localizer:
 
     @use_one_blas_thread()
     def posteriors(
-        self, touches: Sequence[Touch], times: StageTimes | None = None, prior: Prior | None = None,
+        self,
+        touches: Sequence[Touch],
+        times: StageTimes | None = None,
+        prior: Prior | None = None,
         scaling: TemperatureScaling | None = None,
-    ) -> list[PosePosterior]:  # fmt: skip
+    ) -> list[PosePosterior]:
         """Return each touch's own posterior over the grid's poses, before fusion. Adds stage durations to `times`.
 
         A `prior` only guides the search of a whole object. `scaling` is used instead of the fitted one. Raises
@@ -326,25 +285,14 @@ class Localizer:
         probability is that of the grid poses near it, before refinement. `localize` also compares other poses after
         refinement, and may find a better one.
         """
-        posterior, view = self.posterior(touch), self.make_views([touch])[0]
-        index = posterior.find_likeliest()
-        near = posterior.grid.find_within(self.mode_radius_m, index)
-        (pose,) = self.refine(touch, posterior, [index])
-        iou = view.imprint_ious(pose.T_sensor_object[None])[0] if pose.imprint_iou is None else pose.imprint_iou
-        hypothesis = Hypothesis(
-            float(posterior.probabilities[near].sum()), posterior.grid.T_sensor_object[index], pose, index, len(near),
-            float(iou), (float(iou),), touch.T_base_sensor,
-        )  # fmt: skip
-        (known,) = self.refinement.add_covariances([view], [hypothesis])
-        verdict = judge(known.probability, known.imprint_iou, posterior.elsewhere, depths_known=touch.has_depths)
-        return JudgedHypothesis(**vars(known), verdict=verdict)
+        return locate_most_probable(make_query([(self, touch)]), make_method([self]))
 
     @use_one_blas_thread()
     def refine(self, touch: Touch, posterior: PosePosterior, indices: Sequence[int]) -> list[RefinedPose]:
         """Refine poses of the posterior's grid, given by `indices`, against the touch; return them in this order."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
-        return self.refinement.refine([self.make_views([touch])[0]], candidates)
+        return self.refinement.refine(self.make_views([touch]), candidates)
 
 
 def _make_generator(count: int, seed: int) -> np.random.Generator:
@@ -379,10 +327,9 @@ def localize_together(
     `drop_outliers`, the other touches are located again without the outliers. The outliers are then in
     `Localization.left_out`, and poses are in the sensor frame of the first remaining touch.
     """
-    query = make_query(observations, prior, top)
+    query = replace(make_query(observations, prior, top), starts=starts)
     require_within_reach(query.touches, observations[0][0].object)
-    chosen = _choose_coverage(observations, coverage, scalings)
-    return localize_all(replace(query, coverage=chosen, starts=starts), make_method(observations, scalings))
+    return _answer(query, observations, None, coverage, scalings)
 
 
 def compute_posterior_together(
@@ -392,14 +339,30 @@ def compute_posterior_together(
 
     Adds stage durations to `times`.
     """
-    query, method = make_query(observations, prior, times=times), make_method(observations)
-    return require_posterior(method.fuse(method.search(query), query))
+    query = make_query(observations, prior, times=times)
+    method = make_method([localizer for localizer, _ in observations])
+    return require_pose_left(method.fuse(method.search(query), query))
+
+
+def _answer(
+    query: Query,
+    observations: Sequence[Observation],
+    scored: Scored | None = None,
+    coverage: float | None = None,
+    scalings: Scalings | None = None,
+) -> Localization:
+    """Locate the touches of a query by the localizers of its observations. Raises GridError if no pose fits."""
+    query = replace(query, coverage=_choose_coverage(observations, coverage, scalings))
+    method = make_method([localizer for localizer, _ in observations], scalings)
+    return require_pose_left(localize_agreeing(query, method, scored))
 
 
 def make_query(
-    observations: Sequence[Observation], prior: Prior | None = None, top: int | None = None,
+    observations: Sequence[Observation],
+    prior: Prior | None = None,
+    top: int | None = None,
     times: StageTimes | None = None,
-) -> Query:  # fmt: skip
+) -> Query:
     """Make a query; if `top` is None, the first localizer's setting is used.
 
     Raises TactileLocError if `top` is below 1, or if touches cannot be located together.
@@ -415,9 +378,8 @@ def make_query(
     return Query(views, prior, top, times=times or StageTimes())
 
 
-def make_method(observations: Sequence[Observation], scalings: Scalings | None = None) -> LocatingMethod:
-    """Return the components that locate touches together. Without `scalings`, they are fitted to the object."""
-    localizers = [localizer for localizer, _ in observations]
+def make_method(localizers: Sequence[Localizer], scalings: Scalings | None = None) -> LocatingMethod:
+    """Return the components that locate touches, one of each localizer. Without `scalings`, they are fitted."""
     first, sources = localizers[0], [localizer.source for localizer in localizers]
     fitted = [scalings or localizer.probabilities for localizer in localizers]
     return LocatingMethod(sources, fitted, first.fuser, first.refinement, first.config)

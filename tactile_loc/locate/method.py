@@ -19,8 +19,7 @@ from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.scene import View, view_touch
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.probability.conformal import ConformalSets
-from tactile_loc.locate.probability.conformal_fit import LISTED
+from tactile_loc.locate.probability.conformal import LISTED, ConformalSets
 from tactile_loc.locate.probability.probabilities import AnyScalings
 from tactile_loc.locate.result.hypothesis import Hypothesis
 from tactile_loc.locate.sources.source import PoseSource, Scored
@@ -73,13 +72,14 @@ class Query:
 
 @dataclass(frozen=True)
 class Refinement:
-    """The chosen refiner and the joint registration.
+    """The chosen refiner, its name, and the joint registration.
 
     If `together` is "joint", the joint registration refines against several touches, unless the refiner can do so
     itself.
     """
 
     refiner: Refiner
+    name: str
     registration: JointRegistration
     together: Literal["joint", "each"]
 
@@ -118,24 +118,24 @@ class Refinement:
         one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
         return one_at_a_time and self.refiner.capabilities.refines and self.together == "joint"
 
-    def explain_others(self, name: str, searched: bool) -> str:
-        """Return the tasks that the joint registration does instead of the refiner `name`, and the reason; "" if none.
+    def describe_other_tasks(self, searches: bool) -> str:
+        """Return the tasks that the joint registration does instead of the refiner, and the reason; "" if none.
 
-        `searched` states whether the whole object is searched.
+        `searches` states whether the whole object is searched.
         """
         if self.refiner.capabilities.covariances:
             return ""
         parts = [
-            "improves the poses in the search of the whole object" if searched else "",
+            "improves the poses in the search of the whole object" if searches else "",
             "refines poses to several touches together" if self.is_joint else "",
         ]
         others = " and ".join(part for part in parts if part)
         if not self.refiner.capabilities.refines:
-            return f"the joint registration {others}, because {name} does not refine" if others else ""
+            return f"the joint registration {others}, because {self.name} does not refine" if others else ""
         also = f". The joint registration also {others}" if others else ""
         return (
-            f"{name} refines the poses; their covariances come from the joint registration, because {name} gives "
-            f"none{also}"
+            f"{self.name} refines the poses; their covariances come from the joint registration, because "
+            f"{self.name} gives none{also}"
         )
 
     def add_covariances(self, views: Sequence[View], hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:

@@ -28,15 +28,21 @@ ALONE = 8  # poses that are refined against one touch alone
 Hypotheses = tuple[Hypothesis, ...]
 
 
-def localize_all(query: Query, method: LocatingMethod, scored: Scored | None = None) -> Localization:
+def localize_agreeing(query: Query, method: LocatingMethod, scored: Scored | None = None) -> Localization | NoPoseLeft:
     """Locate the touches of a query, and find those that contradict the others.
 
     `scored` is as for `localize`. If the configuration sets `drop_outliers`, the other touches are located again
-    without them. Raises GridError if no pose fits the touches.
+    without them.
     """
     solution, drops = localize(query, method, scored), method.config.drop_outliers
     if isinstance(solution, NoPoseLeft):
-        return _localize_rest(query, method, (_require_outlier(solution, query, drops),))
+        if solution.outlier is None:
+            return solution
+        if drops:
+            return _localize_rest(query, method, (solution.outlier,))
+        name = query.touches[solution.outlier].name
+        advice = f"{solution.reason}. Without {name}, the other touches agree: give `drop_outliers`"
+        return replace(solution, reason=advice)
     hypotheses, agreement = solution.hypotheses, Agreement()
     if len(query.views) > 1:
         hypotheses, agreement = find_agreement(Trials(query, method, solution))
@@ -45,24 +51,13 @@ def localize_all(query: Query, method: LocatingMethod, scored: Scored | None = N
     return conclude(query, method, solution.posterior, hypotheses, agreement)
 
 
-def _localize_rest(query: Query, method: LocatingMethod, outliers: Sequence[int]) -> Localization:
+def _localize_rest(query: Query, method: LocatingMethod, outliers: Sequence[int]) -> Localization | NoPoseLeft:
     """Locate the touches of a query again without its outliers."""
-    found = localize_all(query.leave_out(outliers), method.leave_out(outliers))
+    found = localize_agreeing(query.leave_out(outliers), method.leave_out(outliers))
+    if isinstance(found, NoPoseLeft):
+        return found
     left_out = tuple(touch for touch in query.touches if all(touch is not one for one in found.touches))
     return replace(found, left_out=left_out)
-
-
-def _require_outlier(left: NoPoseLeft, query: Query, drops: bool) -> int:
-    """Return the number of the touch without which the others share a pose.
-
-    Raises GridError if there is none, or if the configuration does not drop it.
-    """
-    if left.outlier is None:
-        raise GridError(left.reason)
-    if not drops:
-        name = query.touches[left.outlier].name
-        raise GridError(f"{left.reason}. Without {name}, the other touches agree: give `drop_outliers`")
-    return left.outlier
 
 
 def find_agreement(trials: Trials) -> tuple[Hypotheses, Agreement]:

@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.poses.posterior import Mode, NoPoseLeft, PosePosterior
+from tactile_loc.core.poses.candidate import Candidate
+from tactile_loc.core.poses.posterior import Mode, NoPoseLeft, PosePosterior, require_pose_left
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.prior_factors import fit_prior_factors
 from tactile_loc.locate.hypotheses import compare, count_touches_with_depths, merge_hypotheses, weigh
 from tactile_loc.locate.method import LocatingMethod, Query
-from tactile_loc.locate.probability.conformal import PoseSet
-from tactile_loc.locate.probability.conformal_fit import rank
-from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
+from tactile_loc.locate.probability.conformal import PoseSet, rank
+from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis, JudgedHypothesis
 from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.verdict import judge
 from tactile_loc.locate.sources.source import Scored
 
 UNEXPECTED = 15.0  # nats below the peak of a prior beyond which a pose contradicts the prior; 5.5 standard deviations
@@ -74,12 +75,28 @@ def conclude(
     pose_set = None
     if query.coverage is not None:
         probability, sets = query.coverage
-        pose_set = PoseSet.of(rank(found), sets, probability, agreement.contradictory)
+        pose_set = PoseSet.of(rank(hypotheses, len(query.views)), sets, probability, agreement.contradictory)
     with query.times.stage("choose"):
         kept = hypotheses[: query.top if pose_set is None else pose_set.poses]
         listed = method.refinement.add_covariances(query.views, kept)
     placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
     return replace(found, hypotheses=placed, unlisted=hypotheses[len(placed) :], pose_set=pose_set)
+
+
+def locate_most_probable(query: Query, method: LocatingMethod) -> JudgedHypothesis:
+    """Return the most probable pose of one touch, refined, with its own verdict: see `Localizer`."""
+    (view,), radius_m = query.views, method.source.setup.mode_radius_m
+    posterior = require_pose_left(method.fuse(method.search(query), query))
+    index = posterior.find_likeliest()
+    T, near = posterior.grid.T_sensor_object[index], posterior.grid.find_within(radius_m, index)
+    (pose,) = method.refinement.refine([view], [Candidate(T, index, float(posterior.log_p[index]))])
+    iou = view.imprint_ious(pose.T_sensor_object[None])[0] if pose.imprint_iou is None else pose.imprint_iou
+    probability = float(posterior.probabilities[near].sum())
+    ious = (float(iou),)
+    one = Hypothesis(probability, T, pose, index, len(near), ious[0], ious, view.touch.T_base_sensor)
+    (known,) = method.refinement.add_covariances([view], [one])
+    verdict = judge(known.probability, known.imprint_iou, posterior.elsewhere, depths_known=view.touch.has_depths)
+    return JudgedHypothesis(**vars(known), verdict=verdict)
 
 
 def is_unexpected(prior: Prior | None, T: Poses, middle_m: NDArray[np.float64]) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior, require_posterior
+from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior, require_pose_left
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.scene import Scene
@@ -248,7 +248,7 @@ def _fuse_several(
 ) -> PosePosterior | None:
     """Fuse several touches. Return None if the fuser refuses several touches."""
     try:
-        return require_posterior(fuser.fuse(posteriors, T_base_sensor))
+        return require_pose_left(fuser.fuse(posteriors, T_base_sensor))
     except ConfigError:
         return None
 

@@ -179,7 +179,7 @@ class ModeFilter:
         for new in found:
             far_m = self._metric.symmetric_distance(T, new.known.T_base_object[None])
             k = int(far_m.argmin()) if len(T) else -1
-            near = k >= 0 and far_m[k] < self.localizer.merge_radius_m
+            near = k >= 0 and far_m[k] < self.localizer.source.setup.merge_radius_m
             renewed.append(replace(modes[k], nats=new.nats) if near else new)
         return renewed
 
@@ -202,7 +202,7 @@ class ModeFilter:
         least = ordered[0].nats + math.log(self.options.improbable) if ordered else 0.0
         ordered = [mode for mode in ordered if mode.nats >= least]
         poses = np.array([mode.known.T_base_object for mode in ordered]).reshape(-1, 4, 4)
-        of = merge_modes(poses, self._metric, self.localizer.merge_radius_m, self.options.modes)
+        of = merge_modes(poses, self._metric, self.localizer.source.setup.merge_radius_m, self.options.modes)
         return [ordered[k] for k in np.unique(of[of >= 0])]
 
     def _guess_slips(self, modes: Sequence[TrackMode], view: View) -> tuple[list[int], Floats]:
@@ -221,7 +221,7 @@ class ModeFilter:
         )
         ious = view.imprint_ious(ends, self.options.image_px)
         order = np.argsort(-ious, kind="stable")
-        of = merge_modes(ends[order], self._metric, self.localizer.merge_radius_m, self.options.modes)
+        of = merge_modes(ends[order], self._metric, self.localizer.source.setup.merge_radius_m, self.options.modes)
         kept = order[np.unique(of[of >= 0])]
         return numbers[kept].tolist(), ends[kept]
 

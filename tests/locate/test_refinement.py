@@ -13,7 +13,9 @@ from tactile_loc.slots.registry import registry
 
 def explain(refiner: str, searched: bool, together: Any = "joint") -> str:
     registration: Any = None  # the note does not depend on it
-    return Refinement(registry().create("refiner", refiner), registration, together).explain_others(refiner, searched)
+    return Refinement(registry().create("refiner", refiner), registration, together).describe_other_tasks(
+        refiner, searched
+    )
 
 
 @pytest.mark.parametrize(

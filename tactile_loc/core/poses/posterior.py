@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.runtime.errors import GridError
 
 MOST_CLUSTERED = 2000
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,11 +176,11 @@ class PosePosterior:
         ]
 
 
-def require_posterior(fused: PosePosterior | NoPoseLeft) -> PosePosterior:
-    """Return the posterior of a fusion. Raises GridError with the reason if no pose is left."""
-    if isinstance(fused, NoPoseLeft):
-        raise GridError(fused.reason)
-    return fused
+def require_pose_left(found: Found | NoPoseLeft) -> Found:
+    """Return what was found. Raises GridError with the reason if no pose is left."""
+    if isinstance(found, NoPoseLeft):
+        raise GridError(found.reason)
+    return found
 
 
 def _climb(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDArray[np.int64]:

@@ -25,7 +25,7 @@ from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.localization import Hypothesis, Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import REFUSED, Verdict
-from tactile_loc.locate.sources.listed_grid import STAGE_VERSIONS
+from tactile_loc.locate.sources.source import STAGE_VERSIONS
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
@@ -115,7 +115,7 @@ def make_recall_key(localizer: Localizer, examples: Examples, together: Sequence
     fitted = localizer.probabilities
     scalings = [asdict(fitted.temperature_scaling), *([asdict(fitted.fused_scaling)] if together[-1] > 1 else [])]
     inputs = {
-        **localizer.describe_scores(), "object": localizer.object.describe(), "settings": settings,
+        **localizer.source.describe_scores(), "object": localizer.object.describe(), "settings": settings,
         "stages": dict(STAGE_VERSIONS), "scalings": scalings, "examples": examples.describe(),
         "count": examples.count, "together": list(together),
     }  # fmt: skip

@@ -199,7 +199,7 @@ class CombinationJob:
             )
         localizer = Localizer(config, obj, store)
         start_s = time.perf_counter()
-        localizer.describe_scores()  # builds the grid and its shapes, and trains the encoder
+        localizer.source.describe_scores()  # builds the grid and its shapes, and trains the encoder
         _ = localizer.probabilities.temperature_scaling
         model_s = time.perf_counter() - start_s if store.built else 0.0
         evaluation = evaluate(localizer, self.count, SimulatedTouches(config.touch.noise, config.seed, images=False))

@@ -26,10 +26,13 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.formatting import format_mm
+from tactile_loc.locate.probability.misses import predict_miss
+from tactile_loc.locate.result.hypothesis import Hypothesis
 
 POWER = 0.7  # to which the poses' probabilities are raised, because they rank likely poses too surely
 RARE = 4.0  # at a level of 0.95, "elsewhere" is in the set if its probability is at least 0.05 times this
 ELSEWHERE = -1  # the number of the item "elsewhere"
+LISTED = 40  # fewest poses to refine for a set, if there are that many
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,11 @@ class Ranking:
     def count(self, level: float) -> int:
         """Return the number of poses, at least 1, whose score is at most `level`: they are the first ones."""
         return max(1, sum(self.score(number) <= level for number in range(len(self.probabilities))))
+
+
+def rank(hypotheses: Sequence[Hypothesis], touches: int) -> Ranking:
+    """Return the ranking of the hypotheses of a number of touches."""
+    return Ranking.of([h.probability for h in hypotheses], predict_miss(hypotheses, touches))
 
 
 @dataclass(frozen=True)

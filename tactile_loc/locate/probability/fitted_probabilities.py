@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -33,8 +33,6 @@ from tactile_loc.store.workspace import Workspace
 EXAMPLE_TOUCHES = 50  # simulated touches in memory at once
 EACH_LEVEL = 10_000  # step between the seeds of two noise levels
 
-Simulate = Callable[[int, int, TouchNoise], list[Touch]]  # takes a count, a seed and the noise
-
 
 @dataclass(frozen=True, eq=False)
 class Example:
@@ -53,16 +51,12 @@ class Example:
 class FittedProbabilities:
     """The temperature and the tempering of fused touches of one localizer, fitted at first use.
 
-    `source` scores poses with an exact matcher, and `simulate` draws touches with known poses. `described` returns all
-    inputs of the scores except the touch, as JSON values. If the user gives a `temperature`, nothing is fitted.
+    `source` scores poses with an exact matcher. If the user gives a `temperature`, nothing is fitted.
     """
 
-    def __init__(
-        self, source: PoseSource, fuser: Fuser, simulate: Simulate, described: Callable[[], dict[str, Any]]
-    ) -> None:
+    def __init__(self, source: PoseSource, fuser: Fuser) -> None:
         setup = source.setup
-        self.source, self.scene, self.fuser, self.simulate = source, setup.scene, fuser, simulate
-        self.described, self.drawn = described, {"sampler": setup.sampler.describe()}
+        self.source, self.setup, self.fuser = source, setup, fuser
         self.temperature, self.store, self.progress = setup.config.temperature, setup.store, setup.progress
         self.plan = source.plan_fit()
 
@@ -77,9 +71,8 @@ class FittedProbabilities:
     def temperature_key(self) -> StageKey:
         """Return the store key of the temperature scaling, made from all inputs of the fit."""
         touches = probabilities.describe_touches(self.plan.touches, self.plan.noise)
-        return StageKey(
-            probabilities.STAGE, probabilities.STAGE_VERSION, {**self.described(), **self.drawn, **touches}
-        )  # fmt: skip
+        inputs = {**self.source.describe_scores(), "sampler": self.setup.sampler.describe(), **touches}
+        return StageKey(probabilities.STAGE, probabilities.STAGE_VERSION, inputs)
 
     def _fit_temperature(self, work: Workspace) -> None:
         """Score simulated touches, and save the scaling that makes their true poses most probable."""
@@ -91,7 +84,7 @@ class FittedProbabilities:
         drawn = (
             touch
             for seed, count, level in probabilities.batches(number, levels)
-            for touch in self.simulate(count, seed, level)
+            for touch in self.setup.simulate(count, seed, level)
         )
         with self.progress.task("fitting probabilities", number) as advance:
             for found, index in map_in_threads(self._score, drawn):
@@ -131,9 +124,13 @@ class FittedProbabilities:
 
     def _describe_examples(self, touches: Sequence[int], count: int, seed: int) -> dict[str, Any]:
         return {
-            "touches": list(touches), "examples": count, "seed": seed, "fuser": self.fuser.describe(),
-            "scores": self.temperature_key().digest, "temperature": self.temperature,
-        }  # fmt: skip
+            "touches": list(touches),
+            "examples": count,
+            "seed": seed,
+            "fuser": self.fuser.describe(),
+            "scores": self.temperature_key().digest,
+            "temperature": self.temperature,
+        }
 
     def _examples(
         self, touches: int, count: int, seed: int, noise: TouchNoise = probabilities.TOUCH_NOISE
@@ -151,14 +148,14 @@ class FittedProbabilities:
         at_once = max(1, EXAMPLE_TOUCHES // touches)
         for start in range(0, count, at_once):
             number, drawn_seed = touches * min(at_once, count - start), seed + 100_000 * touches + start
-            drawn = self.simulate(number, drawn_seed, noise)
+            drawn = self.setup.simulate(number, drawn_seed, noise)
             yield from (drawn[first : first + touches] for first in range(0, len(drawn), touches))
 
     def _fuse(self, touches: Sequence[Touch]) -> Example:
         """Fuse touches of known pose as if all had been made on one object at rest, by differently placed sensors."""
         poses = np.stack([np.asarray(touch.T_sensor_object) for touch in touches])
         seen_from = zip(touches, poses @ invert(poses[0]), strict=True)
-        views = [View(touch, self.scene.match_touch(touch), T) for touch, T in seen_from]
+        views = [View(touch, self.setup.scene.match_touch(touch), T) for touch, T in seen_from]
         unfused: Sequence[AnyScalings] = [Scalings(self.temperature_scaling, FusedScaling())] * len(touches)
         scored = self.source.search(views, [self.source] * len(touches), unfused, StageTimes())
         truth = self.source.find_truth(scored.alone[0].grid, touches[0])

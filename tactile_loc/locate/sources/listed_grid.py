@@ -24,7 +24,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import propose_together, split_modes
 from tactile_loc.locate.probability.probabilities import FitPlan, plan_listed_fit
 from tactile_loc.locate.sources.scoring import GridScores, Scores
-from tactile_loc.locate.sources.source import PoseSource, Scored, Values
+from tactile_loc.locate.sources.source import STAGE_VERSIONS, PoseSource, Scored, Values
 from tactile_loc.simulate.contact_poses import make_contact_grid, mark_contact
 from tactile_loc.simulate.listed_training import ListedProblem
 from tactile_loc.slots.encoder import Checkpoints, Encoder, TrainingProblem
@@ -40,7 +40,6 @@ log = logging.getLogger(__name__)
 MOST_MEASURED = 2000  # poses whose distance to the nearest other pose is measured
 SHARD = 1024  # poses that are rendered at once and saved in one file
 NO_CONTACT = 65535
-STAGE_VERSIONS = {"grid": 5, "shapes": 3, "encoder": 3, "bank": 3}
 
 
 def make_grid_key(scene: Scene, sampler: GridSampler) -> StageKey:

@@ -22,15 +22,18 @@ from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.progress import Progress, StageTimes
+from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.probability.probabilities import AnyScalings, FitPlan
 from tactile_loc.locate.sources.scoring import NewMatcher, Scores
+from tactile_loc.simulate.touch_simulation import simulate_touches
 from tactile_loc.slots.encoder import Encoder
 from tactile_loc.slots.grid import GridSampler
 from tactile_loc.store.store import StageStore
 
+STAGE_VERSIONS = {"grid": 5, "shapes": 3, "encoder": 3, "bank": 3}
 Values = NDArray[np.float64]
 Rated = tuple[Poses, Values]  # poses (K, 4, 4), metres, and values (K,), the greater the better
 FindPlaces = Callable[[], Places]
@@ -56,6 +59,10 @@ class SourceSetup:
         """The scene with the few pixels of a listed grid's contact shapes, at full press."""
         coarse = self.scene.geometry.resize_long_side(self.config.shape_px)
         return replace(self.scene, geometry=coarse.press(coarse.max_depth_m))
+
+    def simulate(self, count: int, seed: int, noise: TouchNoise) -> list[Touch]:
+        """Simulate touches with known poses, to fit probabilities."""
+        return simulate_touches(self.sampler, self.scene, count, np.random.default_rng(seed), noise=noise)
 
     @property
     def encoder_stages(self) -> tuple[str, ...]:
@@ -174,6 +181,19 @@ class PoseSource(ABC):
     @abstractmethod
     def describe(self) -> dict[str, Any]:
         """Return all inputs of the scores except the sensor and the touch, as JSON values; trains the encoder."""
+
+    def describe_scores(self) -> dict[str, Any]:
+        """Return all inputs of the scores except the touch, as JSON values; trains the encoder if necessary.
+
+        The matcher is left out, because all matchers that score all poses compute the same scores.
+        """
+        return {
+            **self.describe(),
+            "sensor": self.setup.scene.geometry.describe(),
+            "encoder": self.setup.encoder.describe(),
+            "training": STAGE_VERSIONS["encoder"],
+            "bank": STAGE_VERSIONS["bank"],
+        }
 
     @abstractmethod
     def prepare(self, press_depth_m: float) -> None:

@@ -11,9 +11,9 @@ from tactile_loc.core.places.places import CAMERA, Places
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.locate.sources.listed_grid import STAGE_VERSIONS, train_encoder
+from tactile_loc.locate.sources.listed_grid import train_encoder
 from tactile_loc.locate.sources.scoring import Scores
-from tactile_loc.locate.sources.source import SourceSetup
+from tactile_loc.locate.sources.source import STAGE_VERSIONS, SourceSetup
 from tactile_loc.simulate.place_training import PlaceProblem
 from tactile_loc.slots.grid import GridSampler
 from tactile_loc.store.artifact import Artifact

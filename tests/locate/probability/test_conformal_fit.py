@@ -54,7 +54,7 @@ def test_examples_are_drawn_once_for_all_numbers_of_touches(tmp_path, small, mon
     assert 0 < len(sets.scores) <= 22
     assert all(0 <= score <= 1 for score in sets.scores)
     assert "pin" in caplog.text
-    monkeypatch.setattr(Localizer, "_locate_example", None)
+    monkeypatch.setattr(module.ConformalFit, "_score", None)
     again = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
     assert again.conformal_sets == sets
 

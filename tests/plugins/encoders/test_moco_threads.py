@@ -33,7 +33,7 @@ grid = {"name": "face", "spacing_mm": 8}
 localizer = Localizer.create(
     "pin", store=StageStore(Path(sys.argv[1])), sensor="digit", shape_px=32, grid=grid, encoder=encoder
 )
-localizer.describe_scores()
+localizer.source.describe_scores()
 learned = {name: weights.numpy() for name, weights in localizer.encoder._network.state_dict().items()}
 (touch,) = localizer.simulate(1)
 ((_, scores),) = localizer.source.score([touch], StageTimes())

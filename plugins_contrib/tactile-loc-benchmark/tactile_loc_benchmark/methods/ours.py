@@ -29,7 +29,7 @@ class TactileLoc(Method):
     def prepare(self, problem: LocatingProblem) -> None:
         """Build the object's model, and fit its probabilities."""
         self._localizer = _make_localizer(self.options.settings, problem)
-        self._localizer.describe_scores()
+        self._localizer.source.describe_scores()
         fitted = self._localizer.probabilities
         _ = fitted.temperature_scaling, fitted.fused_scaling
 
