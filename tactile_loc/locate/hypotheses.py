@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
 from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.core.poses.merging import merge_modes
+from tactile_loc.core.poses.merging import merge_modes, suppress_non_maxima
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 from tactile_loc.core.poses.posterior import TIE_NATS, Mode, PosePosterior, group_ties, rank_poses
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.runtime.turns import pause_before
 from tactile_loc.core.sensing.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.probability.nearness import NATS_PER_IOU
@@ -27,7 +26,6 @@ LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
 MASK_SHARE = 0.5
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
 EXCLUDED = -1e6  # nats: log-weight of a pose that the prior excludes
-A_TURN = 15_000  # poses from which those far apart are chosen in one turn
 DOUBT = 8.0  # nats: in one touch's grid, no pose counts as less probable than the best pose by more than this
 
 
@@ -223,9 +221,9 @@ def propose_together(
     for view, posterior in zip(views, alone, strict=True):
         far, nearest = posterior.grid.nearest(view.T_sensor_first @ poses)
         likely += np.maximum(posterior.log_p[nearest], posterior.log_p.max() - DOUBT) - far / radius_m
-    poses = poses[keep_apart(poses, likely, fused.grid.metric, 0.5 * radius_m, options.drawn)]
+    poses = poses[suppress_non_maxima(poses, likely, fused.grid.metric, 0.5 * radius_m, options.drawn)]
     ious = compute_imprint_ious(views, poses, pixels=options.image_px, freedom_m=radius_m).mean(axis=1)
-    poses = poses[keep_apart(poses, ious, fused.grid.metric, radius_m, options.refined_together)]
+    poses = poses[suppress_non_maxima(poses, ious, fused.grid.metric, radius_m, options.refined_together)]
     nearest = fused.grid.nearest(poses)[1]
     p = fused.probabilities[nearest]
     return [
@@ -244,7 +242,9 @@ def split_modes(posterior: PosePosterior, modes: Sequence[Mode], radius_m: float
     grid, members = posterior.grid, np.concatenate([mode.members for mode in modes])
     peaks = np.array([mode.index for mode in modes])
     others = members[~np.isin(members, peaks)]
-    apart = keep_apart(grid.T_sensor_object[others], posterior.log_p[others], grid.metric, radius_m, count - len(peaks))
+    apart = suppress_non_maxima(
+        grid.T_sensor_object[others], posterior.log_p[others], grid.metric, radius_m, count - len(peaks)
+    )
     chosen = np.concatenate([peaks, others[apart]])
     points = grid.metric.embed(grid.T_sensor_object[members])
     of = measure_distances(points, grid.metric.embed(grid.T_sensor_object[chosen])).argmin(axis=1)
@@ -263,24 +263,9 @@ def choose_best_apart(posterior: PosePosterior, radius_m: float, top: int) -> li
     Each grid pose within that radius of a mode is a member of the nearest mode.
     """
     grid = posterior.grid
-    chosen = keep_apart(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
+    chosen = suppress_non_maxima(grid.T_sensor_object, posterior.log_p, grid.metric, radius_m, top)
     points = grid.metric.embed(grid.T_sensor_object)
     far = measure_distances(points, points[chosen])
     of, near = far.argmin(axis=1), far.min(axis=1) <= radius_m
     members = [np.flatnonzero(near & (of == k)) for k in range(len(chosen))]
     return [_make_mode(posterior, k, some) for k, some in zip(chosen, members, strict=True)]
-
-
-def keep_apart(
-    poses: Poses, worth: NDArray[np.float64], metric: PoseMetric, radius_m: float, count: int
-) -> NDArray[np.int64]:
-    """Return the indices of at most `count` poses (K, 4, 4), sorted by their `worth` (K,), the greatest first.
-
-    No chosen pose is within `radius_m` metres of a pose with greater worth.
-    """
-    from tactile_loc.core.poses.merging import choose_apart  # numba takes a while to import
-
-    pause_before(len(poses) / A_TURN)
-    order = np.argsort(-worth, kind="stable")
-    points = np.ascontiguousarray(metric.embed(poses[order]))
-    return np.asarray(order[choose_apart(points, float(radius_m), count)])

@@ -10,11 +10,12 @@ import numpy as np
 from tactile_loc.core.geometry.rigid import Poses, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.candidate import Candidate
+from tactile_loc.core.poses.merging import suppress_non_maxima
 from tactile_loc.core.poses.posterior import Mode, NoPoseLeft
 from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import compare_where_seen, keep_apart, keep_likeliest
+from tactile_loc.locate.hypotheses import compare_where_seen, keep_likeliest
 from tactile_loc.locate.method import LocatingMethod, Query
 from tactile_loc.locate.pipeline import Solution, conclude, explain, localize
 from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
@@ -165,7 +166,9 @@ class Trials:
         grid, scores = source.list_starts_alone(alone, self.solution.scored, number, self.query.times)
         with self.query.times.stage("refine"):
             poses = grid.T_sensor_object
-            poses = poses[keep_apart(poses, scores, grid.metric, self.method.source.setup.start_radius_m, ALONE)]
+            poses = poses[
+                suppress_non_maxima(poses, scores, grid.metric, self.method.source.setup.start_radius_m, ALONE)
+            ]
             return float(alone.imprint_ious(self._refine_alone(alone, poses)).max())
 
     def _refine_alone(self, view: View, poses: Poses) -> Poses:

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.compiled import njit
+from tactile_loc.core.runtime.turns import pause_before
+
+A_TURN = 15_000  # poses whose neighbours are suppressed in one turn
 
 
 def merge_modes(T_object: Poses, metric: PoseMetric, radius_m: ArrayLike, most: int | None = None) -> NDArray[np.int64]:
@@ -53,3 +56,16 @@ def choose_apart(points, radius, count):
             chosen[found] = k
             found += 1
     return chosen[:found]
+
+
+def suppress_non_maxima(
+    poses: Poses, worth: NDArray[np.float64], metric: PoseMetric, radius_m: float, count: int
+) -> NDArray[np.int64]:
+    """Return the indices of at most `count` poses (K, 4, 4), sorted by their `worth` (K,), the greatest first.
+
+    No chosen pose is within `radius_m` metres of a pose with greater worth. Symmetries do not count.
+    """
+    pause_before(len(poses) / A_TURN)
+    order = np.argsort(-worth, kind="stable")
+    points = np.ascontiguousarray(metric.embed(poses[order]))
+    return np.asarray(order[choose_apart(points, float(radius_m), count)])

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tactile_loc.bases.common_poses import compute_prior_weights
 from tactile_loc.core.geometry.rigid import Poses, make_transform
 from tactile_loc.core.places.places import CAMERA, HIGHEST_M, Places
+from tactile_loc.core.poses.merging import suppress_non_maxima
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
@@ -26,7 +27,7 @@ from tactile_loc.core.runtime.turns import pause_before, split_into_turns
 from tactile_loc.core.sensing.gel_surface import SLACK
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import compute_imprint_ious, keep_apart
+from tactile_loc.locate.hypotheses import compute_imprint_ious
 from tactile_loc.locate.probability.nearness import NATS_PER_IOU
 from tactile_loc.locate.sources.scoring import GridScores, NewMatcher, Scores
 from tactile_loc.locate.sources.source import Rated, SourceSetup
@@ -92,7 +93,7 @@ class PlaceSearch:
         with times.stage("register"):
             poses = np.concatenate([self._register_group(view, *group, len(groups)) for group in groups])
             ious = compute_imprint_ious([view], poses, options.image_px)[:, 0]
-            kept = keep_apart(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
+            kept = suppress_non_maxima(poses, ious, self.metric, options.apart_mm * 1e-3, options.registered)
             if len(groups) > 1 and prior is not None:
                 grid, count = PoseGrid(poses, self.metric), options.registered // 2
                 expected = choose_expected(grid, ious, prior, options.apart_mm * 1e-3, count)
@@ -106,13 +107,13 @@ class PlaceSearch:
         pose may be missing.
         """
         poses, scores = matched
-        apart = keep_apart(poses, scores, self.metric, self.radius_m, MOVED_ALONE)
+        apart = suppress_non_maxima(poses, scores, self.metric, self.radius_m, MOVED_ALONE)
         poses = self.registration.register_coarsely([view], poses[apart], REGISTERED_ALONE)
         return PoseGrid(poses, self.metric), view.imprint_ious(poses, self.options.image_px)
 
     def _register_group(self, view: View, poses: Poses, values: NDArray[np.float64], groups: int) -> Poses:
         """Return the registered poses of one of several groups: see `propose`. All groups have equally many."""
-        apart = keep_apart(poses, values, self.metric, self.radius_m, self.options.moved // groups)
+        apart = suppress_non_maxima(poses, values, self.metric, self.radius_m, self.options.moved // groups)
         # what a prior proposes is not judged by the touch alone
         kept = self.options.registered if groups == 1 else None
         return self.registration.register_coarsely([view], poses[apart], kept)
@@ -220,7 +221,7 @@ def choose_expected(
     """
     worth = ious + compute_prior_weights(prior, grid) / NATS_PER_IOU
     explaining = np.flatnonzero(ious >= ious.max() - MOST_UNEXPLAINED)
-    apart = keep_apart(grid.T_sensor_object[explaining], worth[explaining], grid.metric, radius_m, count)
+    apart = suppress_non_maxima(grid.T_sensor_object[explaining], worth[explaining], grid.metric, radius_m, count)
     return explaining[apart]
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tactile_loc.bases.common_poses import compute_prior_weights
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.places.places import Places
+from tactile_loc.core.poses.merging import suppress_non_maxima
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom
@@ -25,7 +26,7 @@ from tactile_loc.core.runtime.turns import pause_before
 from tactile_loc.core.sensing.clouds import make_contact_cloud, make_outline_cloud
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import DOUBT, choose_best_apart, compare_where_seen, compute_imprint_ious, keep_apart
+from tactile_loc.locate.hypotheses import DOUBT, choose_best_apart, compare_where_seen, compute_imprint_ious
 from tactile_loc.locate.probability.probabilities import AnyScalings, FitPlan, plan_search_fit
 from tactile_loc.locate.sources.place_search import MOST_UNEXPLAINED, PlaceSearch
 from tactile_loc.locate.sources.scoring import Scores
@@ -223,7 +224,7 @@ def search_together(
             explain = other_ious.mean(axis=1) >= ious.mean(axis=1).max() - MOST_UNEXPLAINED
             others, other_ious = others[explain], other_ious[explain]
             registered, ious = np.concatenate([registered, others]), np.concatenate([ious, other_ious])
-        kept = keep_apart(
+        kept = suppress_non_maxima(
             registered, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely
         )
     return FoundTogether(registered[kept], ious[kept], [groups[0] for groups in proposed])
@@ -257,8 +258,8 @@ def _keep_nearest(
     nearest to the touches. `poses` (K, 4, 4), metres, are in the first touch's sensor frame.
     """
     worth = -estimate_surface_distances(views, poses, cell_m)
-    first = keep_apart(poses, worth, search.metric, search.spread_m, spread)
-    nearest = keep_apart(poses, worth, search.metric, search.radius_m, count)
+    first = suppress_non_maxima(poses, worth, search.metric, search.spread_m, spread)
+    nearest = suppress_non_maxima(poses, worth, search.metric, search.radius_m, count)
     return poses[np.concatenate([first, nearest[~np.isin(nearest, first)]])[:count]]
 
 
@@ -285,7 +286,7 @@ def keep_expected(views: Sequence[View], grid: PoseGrid, prior: Prior | None, ra
     possible = np.flatnonzero(weights > -np.inf)
     poses = grid.T_sensor_object[possible]
     worth = weights[possible] - estimate_surface_distances(views, poses) / DISTANCE_PER_NAT_M
-    return poses[keep_apart(poses, worth, grid.metric, radius_m, count)]
+    return poses[suppress_non_maxima(poses, worth, grid.metric, radius_m, count)]
 
 
 def add_expected_modes(
@@ -302,7 +303,7 @@ def add_expected_modes(
     evidence = np.where(weights > -np.inf, posterior.log_p - np.maximum(weights, -1e300), -np.inf)
     some = np.flatnonzero(evidence >= evidence.max() - DOUBT)
     poses = posterior.grid.T_sensor_object
-    best = some[keep_apart(poses[some], weights[some], posterior.grid.metric, radius_m, EXPECTED_MODES)]
+    best = some[suppress_non_maxima(poses[some], weights[some], posterior.grid.metric, radius_m, EXPECTED_MODES)]
     known = {mode.index for mode in modes}
     added = [Mode(int(k), 0.0, poses[k], np.array([k])) for k in best if int(k) not in known]
     return [*modes[:FIRST], *added, *modes[FIRST:]]
