@@ -40,14 +40,12 @@ def compare(
     The imprint IoUs of views whose numbers are in `outliers` are NaN: `compare_outliers` computes them.
     """
     trusted = [number for number in range(len(views)) if number not in outliers]
-    ious = compare_refined(views, [pose for _, pose in refined], trusted)
-    return tuple(
-        Hypothesis(
-            mode.probability, mode.T_sensor_object, pose, mode.index, len(mode.members), float(each[trusted].mean()),
-            tuple(map(float, each)),
-        )
-        for (mode, pose), each in zip(refined, ious, strict=True)
-    )  # fmt: skip
+    found = []
+    for (mode, pose), each in zip(refined, compare_refined(views, [pose for _, pose in refined], trusted), strict=True):
+        ious, mean = tuple(map(float, each)), float(each[trusted].mean())
+        members = len(mode.members)
+        found.append(Hypothesis(mode.probability, mode.T_sensor_object, pose, mode.index, members, mean, ious))
+    return tuple(found)
 
 
 def compare_refined(
@@ -204,19 +202,20 @@ def _compute_sensor_error_nats(view: View, first: View, error: Poses) -> NDArray
 
 
 def propose_together(
-    views: Sequence[View], alone: Sequence[PosePosterior], fused: PosePosterior, radius_m: float,
+    views: Sequence[View],
+    alone: Sequence[PosePosterior],
+    fused: PosePosterior,
+    radius_m: float,
     options: HypothesisOptions,
-) -> list[Mode]:  # fmt: skip
+) -> list[Mode]:
     """Return modes to refine against several touches, in the first touch's sensor frame.
 
     The most probable poses of each touch are collected. The poses that are likely in the grids of all touches are
     rendered coarsely. The poses that explain all touches best are kept, none within `radius_m` metres of a better one.
     Each mode has the index of the nearest pose in the first touch's grid.
     """
-    poses = np.concatenate([
-        invert(view.T_sensor_first) @ posterior.grid.T_sensor_object[posterior.top(options.listed)]
-        for view, posterior in zip(views, alone, strict=True)
-    ])  # fmt: skip
+    likeliest = [posterior.grid.T_sensor_object[posterior.top(options.listed)] for posterior in alone]
+    poses = np.concatenate([invert(view.T_sensor_first) @ some for view, some in zip(views, likeliest, strict=True)])
     likely = np.zeros(len(poses))
     for view, posterior in zip(views, alone, strict=True):
         far, nearest = posterior.grid.nearest(view.T_sensor_first @ poses)

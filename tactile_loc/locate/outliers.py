@@ -44,12 +44,12 @@ def localize_agreeing(query: Query, method: LocatingMethod, scored: Scored | Non
         name = query.touches[solution.outlier].name
         advice = f"{solution.reason}. Without {name}, the other touches agree: give `drop_outliers`"
         return replace(solution, reason=advice)
-    hypotheses, agreement = solution.hypotheses, Agreement()
     if len(query.views) > 1:
         hypotheses, agreement = find_agreement(Trials(query, method, solution))
-    if agreement.outliers and drops:
-        return _localize_rest(query, method, agreement.outliers)
-    return conclude(query, method, solution.posterior, hypotheses, agreement)
+        if agreement.outliers and drops:
+            return _localize_rest(query, method, agreement.outliers)
+        solution = replace(solution, hypotheses=hypotheses, agreement=agreement)
+    return conclude(query, method, solution)
 
 
 def _localize_rest(query: Query, method: LocatingMethod, outliers: Sequence[int]) -> Localization | NoPoseLeft:
@@ -187,10 +187,8 @@ def require_within_reach(touches: Sequence[Touch], obj: ObjectModel) -> None:
     if len(touches) < 2 or any(touch.T_base_sensor is None for touch in touches):
         return
     gels = [touch.geometry for touch in touches]
-    middles_m = np.stack([
-        transform_points(np.asarray(touch.T_base_sensor), gel.gel_middle_m[None])[0]
-        for touch, gel in zip(touches, gels, strict=True)
-    ])  # fmt: skip
+    placed = [(np.asarray(touch.T_base_sensor), touch.geometry.gel_middle_m) for touch in touches]
+    middles_m = np.stack([transform_points(T, middle_m[None])[0] for T, middle_m in placed])
     radii_m = np.array([np.hypot(x1 - x0, y1 - y0) / 2 for x0, x1, y0, y1 in (gel.rectangle for gel in gels)])
     a, b = np.triu_indices(len(touches), 1)
     apart_m = float((np.linalg.norm(middles_m[a] - middles_m[b], axis=1) - radii_m[a] - radii_m[b]).min())

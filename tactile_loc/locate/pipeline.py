@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +26,16 @@ UNEXPECTED = 15.0  # nats below the peak of a prior beyond which a pose contradi
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What the pipeline found: each touch's posterior, the fused one, the proposed modes, and what became of them."""
+    """What the pipeline found: each touch's posterior, the fused one, the proposed modes, and what became of them.
+
+    `agreement` states whether several touches agree.
+    """
 
     scored: Scored
     posterior: PosePosterior
     modes: Sequence[Mode]
     hypotheses: tuple[Hypothesis, ...]
+    agreement: Agreement = field(default_factory=Agreement)
 
 
 def localize(query: Query, method: LocatingMethod, scored: Scored | None = None) -> Solution | NoPoseLeft:
@@ -61,18 +65,10 @@ def explain(
         return merge_hypotheses(weighed, metric, method.source.setup.merge_radius_m)
 
 
-def conclude(
-    query: Query, method: LocatingMethod, posterior: PosePosterior, hypotheses: tuple[Hypothesis, ...],
-    agreement: Agreement,
-) -> Localization:  # fmt: skip
+def conclude(query: Query, method: LocatingMethod, solution: Solution) -> Localization:
     """Make the result: choose the hypotheses to list, and add their covariances."""
     touch, *others = query.touches
-    middle_m, prior = method.source.setup.scene.object.mesh.centroid_m, method.temper_prior(query)
-    found = Localization(
-        touch, posterior, hypotheses, query.times.seconds, tuple(others), agreement=agreement, config=method.config,
-        unexpected=is_unexpected(prior, hypotheses[0].T_sensor_object, middle_m),
-    )  # fmt: skip
-    pose_set = None
+    hypotheses, agreement, pose_set = solution.hypotheses, solution.agreement, None
     if query.coverage is not None:
         probability, sets = query.coverage
         pose_set = PoseSet.of(rank(hypotheses, len(query.views)), sets, probability, agreement.contradictory)
@@ -80,7 +76,10 @@ def conclude(
         kept = hypotheses[: query.top if pose_set is None else pose_set.poses]
         listed = method.refinement.add_covariances(query.views, kept)
     placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
-    return replace(found, hypotheses=placed, unlisted=hypotheses[len(placed) :], pose_set=pose_set)
+    middle_m, prior = method.source.setup.scene.object.mesh.centroid_m, method.temper_prior(query)
+    found = Localization(touch, solution.posterior, placed, query.times.seconds, tuple(others), pose_set, agreement)
+    unexpected = is_unexpected(prior, hypotheses[0].T_sensor_object, middle_m)
+    return replace(found, config=method.config, unlisted=hypotheses[len(placed) :], unexpected=unexpected)
 
 
 def locate_most_probable(query: Query, method: LocatingMethod) -> JudgedHypothesis:

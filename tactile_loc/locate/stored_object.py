@@ -42,9 +42,12 @@ def list_mesh_files(folder: Path) -> list[Path]:
 def load_stored_object(path: str | Path, units: Units, symmetry: str, store: StageStore) -> ObjectModel:
     """Load an object as `load_object` does, with its surface and symmetry from the store if possible."""
     return load_object(
-        path, units, symmetry, read=lambda file: _load_surface(file, store),
+        path,
+        units,
+        symmetry,
+        read=lambda file: _load_surface(file, store),
         judge=lambda declared, mesh: _load_symmetry(declared, mesh, Path(path).stem, store),
-    )  # fmt: skip
+    )
 
 
 def _load_surface(path: Path, store: StageStore) -> Surface:
@@ -86,9 +89,12 @@ def _load_symmetry(declared: str, mesh: TriangleMesh, name: str, store: StageSto
 
 
 def _load_or_keep(
-    store: StageStore, key: StageKey, make: Callable[[], Kept], save: Callable[[Kept, Workspace], None],
+    store: StageStore,
+    key: StageKey,
+    make: Callable[[], Kept],
+    save: Callable[[Kept, Workspace], None],
     load: Callable[[Artifact], Kept],
-) -> Kept:  # fmt: skip
+) -> Kept:
     """Load the artifact from the store, or make it and store it if possible."""
     found = store.get(key)
     if found is not None:

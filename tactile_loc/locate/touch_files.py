@@ -234,6 +234,7 @@ def _add_mount_error(touch: Touch, mount: Mount) -> Touch:
     """Return the touch with the mount's error added to the error of the flange's pose."""
     std_m, std_rad = mount.find_std_at(np.array([0.0, 0.0, touch.geometry.standoff_m]))
     return dataclasses.replace(
-        touch, T_base_sensor_std_m=float(np.hypot(touch.T_base_sensor_std_m, std_m)),
+        touch,
+        T_base_sensor_std_m=float(np.hypot(touch.T_base_sensor_std_m, std_m)),
         T_base_sensor_std_rad=float(np.hypot(touch.T_base_sensor_std_rad, std_rad)),
-    )  # fmt: skip
+    )

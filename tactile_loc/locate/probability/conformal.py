@@ -152,6 +152,13 @@ class PoseSet:
                 f"a probability of {100 * ranking.elsewhere:.0f} %."
             )
         return cls(
-            coverage, min(level, 1.0), examples, ranking.count(level), sets.radius_m, ranking.elsewhere, elsewhere,
-            not reason, reason,
-        )  # fmt: skip
+            coverage,
+            min(level, 1.0),
+            examples,
+            ranking.count(level),
+            sets.radius_m,
+            ranking.elsewhere,
+            elsewhere,
+            not reason,
+            reason,
+        )

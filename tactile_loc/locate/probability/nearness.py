@@ -35,9 +35,12 @@ LEAST = 2e-3  # shares and probabilities are clipped to the range from LEAST to 
 
 
 def compute_share_within(
-    T_sensor_object: Poses, probabilities: Float64, covariances: Sequence[Float64], obj: ObjectModel,
+    T_sensor_object: Poses,
+    probabilities: Float64,
+    covariances: Sequence[Float64],
+    obj: ObjectModel,
     tolerance: Tolerance,
-) -> float:  # fmt: skip
+) -> float:
     """Return the stated probability, 0 to 1, that the first of K poses (K, 4, 4), metres, is within a tolerance.
 
     `probabilities` (K,) and `covariances`, K arrays (6, 6) as in RefinedPose, are taken as they are.

@@ -44,16 +44,18 @@ NO_CONTACT = 65535
 
 def make_grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
     """Return the store key of the pose grid that `sampler` makes for `scene`."""
-    return StageKey("grid", STAGE_VERSIONS["grid"], {
-        "object": scene.object.describe(), "sampler": sampler.describe(), "sensor": scene.geometry.describe(),
-    }, scene.object.name)  # fmt: skip
+    inputs: dict[str, Any] = {
+        "object": scene.object.describe(),
+        "sampler": sampler.describe(),
+        "sensor": scene.geometry.describe(),
+    }
+    return StageKey("grid", STAGE_VERSIONS["grid"], inputs, scene.object.name)
 
 
 def make_shapes_key(grid: StageKey, scene: Scene) -> StageKey:
     """Return the store key of a grid's contact shapes, drawn as in `scene`."""
-    return StageKey("shapes", STAGE_VERSIONS["shapes"], {
-        "grid": grid.digest, "renderer": scene.renderer.describe(), "drawing": scene.drawing, "shard": SHARD,
-    })  # fmt: skip
+    drawn: dict[str, Any] = {"renderer": scene.renderer.describe(), "drawing": scene.drawing, "shard": SHARD}
+    return StageKey("shapes", STAGE_VERSIONS["shapes"], {"grid": grid.digest, **drawn})
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +124,8 @@ def make_bank_key(shapes: StageKey, encoder: Encoder, press_depth_m: float, trai
 
     `trained` is the digest of the encoder's weights; empty for an encoder that needs no training.
     """
-    return StageKey("bank", STAGE_VERSIONS["bank"], {
-        "shapes": shapes.digest, "encoder": encoder.describe(), "trained": trained, "press_depth_m": press_depth_m,
-    })  # fmt: skip
+    encoded: dict[str, Any] = {"encoder": encoder.describe(), "trained": trained, "press_depth_m": press_depth_m}
+    return StageKey("bank", STAGE_VERSIONS["bank"], {"shapes": shapes.digest, **encoded})
 
 
 def build_bank(
@@ -226,15 +227,17 @@ def make_encoder_key(shapes: StageKey, encoder: Encoder, sampler: GridSampler) -
     """
     if not encoder.capabilities.needs_training:
         return None
-    return StageKey("encoder", STAGE_VERSIONS["encoder"], {
-        "shapes": shapes.digest, "encoder": encoder.describe(), "sampler": sampler.describe(),
-    })  # fmt: skip
+    inputs: dict[str, Any] = {"shapes": shapes.digest, "encoder": encoder.describe(), "sampler": sampler.describe()}
+    return StageKey("encoder", STAGE_VERSIONS["encoder"], inputs)
 
 
 def train_encoder(
-    encoder: Encoder, key: StageKey | None, problem: Callable[[Checkpoints], TrainingProblem], store: StageStore,
+    encoder: Encoder,
+    key: StageKey | None,
+    problem: Callable[[Checkpoints], TrainingProblem],
+    store: StageStore,
     name: str = "",
-) -> str:  # fmt: skip
+) -> str:
     """Train `encoder` on a problem, or load the weights stored under `key`; return the weights' digest.
 
     If the encoder needs no training, `key` is None and the digest is empty. `name` is that of the object, for a

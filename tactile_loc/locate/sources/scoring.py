@@ -47,9 +47,13 @@ class GridScores:
     """
 
     def __init__(
-        self, encoder: Encoder, new_matcher: NewMatcher, bank: Callable[[float], Any], max_depth_m: float,
+        self,
+        encoder: Encoder,
+        new_matcher: NewMatcher,
+        bank: Callable[[float], Any],
+        max_depth_m: float,
         follow: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.follow = follow or encoder.capabilities.follows_press_depth
         self.encoder, self.new_matcher, self.bank, self.max_depth_m = encoder, new_matcher, bank, max_depth_m
         self._matchers: ByteCache[float, BankMatcher] = ByteCache(

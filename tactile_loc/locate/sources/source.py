@@ -131,9 +131,13 @@ class PoseSource(ABC):
         """
 
     def search(
-        self, views: Sequence[View], sources: Sequence[PoseSource], scalings: Sequence[AnyScalings], times: StageTimes,
+        self,
+        views: Sequence[View],
+        sources: Sequence[PoseSource],
+        scalings: Sequence[AnyScalings],
+        times: StageTimes,
         prior: Prior | None = None,
-    ) -> Scored:  # fmt: skip
+    ) -> Scored:
         """Return the posteriors of one touch, or of several touches of one object.
 
         `sources` and `scalings` are those of each touch's sensor, this source first. The `prior` is over poses in the

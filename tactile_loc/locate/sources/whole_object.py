@@ -81,9 +81,13 @@ class WholeObjectSource(PoseSource):
         return [self.place_search.score(touch, times, prior) for touch in touches]
 
     def search(
-        self, views: Sequence[View], sources: Sequence[PoseSource], scalings: Sequence[AnyScalings], times: StageTimes,
+        self,
+        views: Sequence[View],
+        sources: Sequence[PoseSource],
+        scalings: Sequence[AnyScalings],
+        times: StageTimes,
         prior: Prior | None = None,
-    ) -> Scored:  # fmt: skip
+    ) -> Scored:
         """Search with one touch, or with all touches together: see `PoseSource`."""
         if len(views) == 1:
             return super().search(views, sources, scalings, times, prior)
@@ -210,10 +214,8 @@ def search_together(
             one.propose(view.touch, one.options.candidates_together, from_here)
             for view, one, from_here in zip(views, searches, seen, strict=True)
         ]
-        poses = np.concatenate([
-            invert(view.T_sensor_first) @ some
-            for view, groups in zip(views, proposed, strict=True) for some, _ in groups
-        ])  # fmt: skip
+        each = zip(views, proposed, strict=True)
+        poses = np.concatenate([invert(view.T_sensor_first) @ some for view, groups in each for some, _ in groups])
         grid, count = PoseGrid(poses, search.metric), max(1, round(EXPECTED_SHARE * options.moved_together))
         expected = keep_expected(views, grid, prior, 2 * search.radius_m, count)
         poses = _keep_nearest(views, search, poses, options.moved_together // 2, options.registered_widely)
@@ -264,9 +266,13 @@ def _keep_nearest(
 
 
 def _register(
-    views: Sequence[View], search: PlaceSearch, poses: Poses, kept: int | None = None, prior: Prior | None = None,
+    views: Sequence[View],
+    search: PlaceSearch,
+    poses: Poses,
+    kept: int | None = None,
+    prior: Prior | None = None,
     cell_m: float | None = None,
-) -> tuple[Poses, NDArray[np.float64]]:  # fmt: skip
+) -> tuple[Poses, NDArray[np.float64]]:
     """Register poses (K, 4, 4), metres, roughly to all N touches; return them and their coarse imprint IoUs (K, N).
 
     `kept`, `prior` and `cell_m` are as for `JointRegistration.register_coarsely`.
