@@ -6,13 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from locate_helpers import draw_examples, locate_together, measure_errors_mm
 
 from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.slots.registry import registry
+from tactile_loc.locate.localizer import Localizer
 
 
 @pytest.fixture(scope="module")
@@ -23,31 +21,22 @@ def localizer(store) -> Localizer:
 
 @pytest.fixture(scope="module")
 def examples(localizer) -> list[list[Touch]]:
-    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
-    return [source.draw_example(3, np.random.default_rng([7, k]))[0] for k in range(6)]
-
-
-def off_mm(localizer: Localizer, T: np.ndarray, touch: Touch) -> float:
-    truth = np.asarray(touch.T_sensor_object)
-    return 1e3 * float(PoseMetric(localizer.object).symmetric_distance(T[None], truth[None])[0])
+    return draw_examples(localizer, 7, 6)
 
 
 @pytest.mark.slow
 def test_three_touches_of_a_curved_gel_locate_the_object(localizer, examples):
-    found = [localize_together([(localizer, touch) for touch in some]).best.T_sensor_object for some in examples]
-    errors_mm = [off_mm(localizer, T, some[0]) for T, some in zip(found, examples, strict=True)]
+    best = [locate_together(localizer, some).best.T_sensor_object[None] for some in examples]
+    errors_mm = [measure_errors_mm(localizer, T, some[0])[0] for T, some in zip(best, examples, strict=True)]
     assert np.median(errors_mm) < 0.1
 
 
 def test_the_joint_refiner_stays_at_the_truth(localizer, examples):
-    refined = [
-        localizer.refinement.refiner.refine(
-            some[0], Candidate(np.asarray(some[0].T_sensor_object), 0, 0.0), scene
-        ).T_sensor_object
-        for some in examples
-        for scene in [localizer.scene.match_touch(some[0])]
-    ]
-    errors_mm = [off_mm(localizer, T, some[0]) for T, some in zip(refined, examples, strict=True)]
+    errors_mm = []
+    for touch, *_ in examples:
+        true = Candidate(np.asarray(touch.T_sensor_object), 0, 0.0)
+        refined = localizer.refinement.refiner.refine(touch, true, localizer.scene.match_touch(touch))
+        errors_mm.append(measure_errors_mm(localizer, refined.T_sensor_object[None], touch)[0])
     assert np.median(errors_mm) < 0.02
 
 

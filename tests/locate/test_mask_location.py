@@ -6,17 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from locate_helpers import draw_examples, list_poses, locate_together
 
 from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.hypotheses import compute_nats
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict, judge
 from tactile_loc.locate.sources.place_search import list_presses, spread_anchors
-from tactile_loc.slots.registry import registry
 
 SENSOR = {"name": "gelsight-mini", "gel": "rigid", "image_size_px": [160, 120]}
 
@@ -37,18 +36,15 @@ def hide_depths(touch: Touch, sensor, known: bool = False) -> Touch:
 @pytest.fixture(scope="module")
 def examples(localizer) -> list[list[Touch]]:
     """Return masks of three touches of the object at rest, drawn by ray casting, with unknown presses."""
-    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
-    drawn = [source.draw_example(3, np.random.default_rng([31, k]))[0] for k in range(5)]
-    return [[hide_depths(touch, localizer.sensor) for touch in touches] for touches in drawn]
+    return [[hide_depths(touch, localizer.sensor) for touch in some] for some in draw_examples(localizer, 31, 5)]
 
 
 @pytest.mark.slow
 def test_three_masks_locate_the_object(localizer, examples):
     off_m = []
     for touches in examples:
-        found = localize_together([(localizer, touch) for touch in touches])
-        T = np.stack([h.T_sensor_object for h in found.hypotheses])
-        off_m.append(measure_surface_distances(localizer.object.mesh, T, touches[0].T_sensor_object).min())
+        found, truth = locate_together(localizer, touches), touches[0].T_sensor_object
+        off_m.append(measure_surface_distances(localizer.object.mesh, list_poses(found), truth).min())
         assert found.verdict is not Verdict.CERTAIN
     assert np.count_nonzero(np.array(off_m) < 1e-3) >= 4
 

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from locate_helpers import locate_together, measure_errors_mm
 from message_helpers import naming
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
@@ -31,25 +32,12 @@ def touches(localizer):
     return [placed(touch) for touch in localizer.simulate(3, seed=7, noise="mild")]
 
 
-def together(localizer, touches, **more):
-    return localize_together([(localizer, touch) for touch in touches], **more)
-
-
 def error_m(localizer, found) -> float:
-    metric, T = localizer.model.grid.metric, found.best.T_sensor_object[None]
-    return float(metric.symmetric_distance(T, found.touch.T_sensor_object[None])[0])
-
-
-def test_one_touch_has_the_result_of_a_single_localisation(localizer, touches):
-    alone, one = localizer.localize(touches[0]), together(localizer, touches[:1])
-    np.testing.assert_allclose(one.posterior.log_p, alone.posterior.log_p)
-    assert one.best.grid_index == alone.best.grid_index
-    assert error_m(localizer, one) == pytest.approx(error_m(localizer, alone), abs=2e-3)
-    assert one.others == ()
+    return 1e-3 * measure_errors_mm(localizer, found.best.T_sensor_object[None], found.touch)[0]
 
 
 def test_more_touches_lower_the_entropy(localizer, touches):
-    one, three = together(localizer, touches[:1]), together(localizer, touches)
+    one, three = locate_together(localizer, touches[:1]), locate_together(localizer, touches)
     assert three.posterior.entropy < one.posterior.entropy
     assert three.others == tuple(touches[1:])
     assert error_m(localizer, three) < 2e-3
@@ -60,7 +48,7 @@ def test_more_touches_lower_the_entropy(localizer, touches):
 def test_the_position_of_the_base_does_not_matter(localizer, touches):
     elsewhere = make_transform(rotation_about([0, 1, 0], 2.0), [1.0, 2.0, -3.0])
     moved = [dataclasses.replace(t, T_base_sensor=elsewhere @ t.T_base_sensor) for t in touches]
-    a, b = together(localizer, touches), together(localizer, moved)
+    a, b = locate_together(localizer, touches), locate_together(localizer, moved)
     np.testing.assert_allclose(a.posterior.probabilities, b.posterior.probabilities, atol=1e-9)
     poses = (found.best.T_sensor_object[None] for found in (a, b))
     assert (
@@ -69,7 +57,7 @@ def test_the_position_of_the_base_does_not_matter(localizer, touches):
 
 
 def test_the_refined_pose_fits_all_touches_best(localizer, touches):
-    found = together(localizer, touches, top=1).best
+    found = locate_together(localizer, touches, top=1).best
     grid, refined = (
         np.mean([
             localizer.scene.imprint_ious((invert(t.T_base_sensor) @ touches[0].T_base_sensor @ T)[None], t)[0]
@@ -96,13 +84,13 @@ def test_touches_that_cannot_be_fused_are_refused(localizer, touches, store):
         localize_together([])
     nowhere = dataclasses.replace(touches[1], T_base_sensor=None)
     with pytest.raises(ConfigError, match=naming("touch 2", "T_base_sensor")):
-        together(localizer, [touches[0], nowhere])
+        locate_together(localizer, [touches[0], nowhere])
     hook = Localizer.create("head", store=store, grid={"name": "face", "spacing_mm": 8})
     with pytest.raises(TouchError, match=naming("pin", "head")):
         localize_together([(localizer, touches[0]), (hook, touches[1])])
     far = dataclasses.replace(touches[1], T_base_sensor=make_transform(np.eye(3), [5.0, 0, 0]))
     with pytest.raises(GridError, match=naming("pin", "37 mm", "T_base_sensor") + r".*[45],\d{3} mm"):
-        together(localizer, [touches[0], far])
+        locate_together(localizer, [touches[0], far])
 
 
 def test_touches_are_within_reach_if_two_of_them_are(localizer, touches):

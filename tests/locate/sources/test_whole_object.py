@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from locate_helpers import draw_examples, locate_together, measure_errors_mm
 from message_helpers import naming
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.places.rotated_patches import find_anchor
-from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.priors import GaussianPrior, SeenFrom
 from tactile_loc.core.runtime.errors import ConfigError
@@ -44,14 +44,7 @@ def search(localizer) -> PlaceSearch:
 
 @pytest.fixture(scope="module")
 def examples(localizer) -> list[list[Touch]]:
-    """Return three touches of each object at rest, pressed from anywhere and rendered by ray casting."""
-    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
-    return [source.draw_example(3, np.random.default_rng([21, k]))[0] for k in range(8)]
-
-
-def off_mm(localizer: Localizer, poses: np.ndarray, touch: Touch) -> np.ndarray:
-    truth = np.broadcast_to(np.asarray(touch.T_sensor_object), poses.shape)
-    return 1e3 * PoseMetric(localizer.object).symmetric_distance(poses, truth)
+    return draw_examples(localizer, 21, 8)
 
 
 def test_the_whole_object_is_searched_by_default():
@@ -69,17 +62,13 @@ def test_the_whole_object_is_searched_by_default():
 @pytest.mark.slow
 def test_the_search_finds_the_true_pose(localizer, search, examples):
     touches = [touch for example in examples for touch in example]
-    nearest = [off_mm(localizer, search.score(t, StageTimes())[0].T_sensor_object, t).min() for t in touches]
+    nearest = [measure_errors_mm(localizer, search.score(t, StageTimes())[0].T_sensor_object, t).min() for t in touches]
     assert np.mean(np.array(nearest) < 1.0) > 0.8
 
 
 def test_three_touches_from_any_side_locate_the_object(localizer, examples):
-    errors = [
-        off_mm(
-            localizer, localize_together([(localizer, t) for t in some]).best.T_sensor_object[None], some[0]
-        )[0]
-        for some in examples
-    ]  # fmt: skip
+    best = [locate_together(localizer, some).best.T_sensor_object[None] for some in examples]
+    errors = [measure_errors_mm(localizer, T, some[0])[0] for T, some in zip(best, examples, strict=True)]
     assert np.median(errors) < 0.1
     assert np.mean(np.array(errors) < 0.5) >= 0.75
 
@@ -135,7 +124,7 @@ def test_several_touches_are_compared_at_the_same_poses(localizer, examples):
     T = np.linalg.inv(np.asarray(some[1].T_base_sensor)) @ np.asarray(some[0].T_base_sensor)
     assert 1 < len(first.grid) <= localizer.config.search.registered_together
     assert T @ first.grid.T_sensor_object == pytest.approx(second.grid.T_sensor_object)
-    found = localize_together([(localizer, touch) for touch in some]).posterior
+    found = locate_together(localizer, some).posterior
     assert found.touches == 2
     assert first.elsewhere == second.elsewhere
     assert found.elsewhere == pytest.approx(
@@ -150,7 +139,7 @@ def test_poses_that_start_beside_the_true_pose_are_found_if_they_are_moved_first
     for count in (1, 200):
         few = {"registered_together": 1, "moved_together": count, "wide_below_iou": 0.0}
         search = Localizer.create("pin", store=store, search=few, **WHOLE).source.place_search
-        nearest = [off_mm(localizer, search_pair(localizer, search, pair), pair[0]).min() for pair in pairs]
+        nearest = [measure_errors_mm(localizer, search_pair(localizer, search, pair), pair[0]).min() for pair in pairs]
         found.append(np.mean(np.array(nearest) < 1.0))
     assert found[1] > found[0] + 0.1
 
@@ -199,7 +188,7 @@ def test_trials_that_end_early_change_no_result(localizer, examples, monkeypatch
     for unpromising in (0.0, search_module.UNPROMISING):
         monkeypatch.setattr(search_module, "UNPROMISING", unpromising)
         some = [misplace(one, wrong) for one in examples[:2]]
-        found.append([localize_together([(localizer, touch) for touch in touches]) for touches in some])
+        found.append([locate_together(localizer, touches) for touches in some])
     for slow, fast in zip(*found, strict=True):
         assert fast.agreement.outliers == slow.agreement.outliers
         np.testing.assert_array_equal(fast.best.T_sensor_object, slow.best.T_sensor_object)
@@ -236,16 +225,19 @@ def test_two_touches_that_two_poses_explain_are_ambiguous(store):
     localizer = Localizer.create("hook", store=store, sensor={"name": "gelsight-mini", "image_size_px": [160, 120]})
     source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
     touches, _ = source.draw_example(2, np.random.default_rng([77, 274]))
-    found = localize_together([(localizer, touch) for touch in touches])
+    found = locate_together(localizer, touches)
     assert found.verdict is Verdict.AMBIGUOUS
     explaining = np.stack([h.T_sensor_object for h in found.equal_explanations])
-    errors_mm = off_mm(localizer, explaining, touches[0])
+    errors_mm = measure_errors_mm(localizer, explaining, touches[0])
     assert errors_mm.min() < 0.1
     assert errors_mm.max() > 10
 
 
 def test_the_search_finds_the_common_pose_of_several_touches(localizer, examples):
-    nearest = [off_mm(localizer, together(localizer, some)[0].grid.T_sensor_object, some[0]).min() for some in examples]
+    nearest = [
+        measure_errors_mm(localizer, together(localizer, some)[0].grid.T_sensor_object, some[0]).min()
+        for some in examples
+    ]
     assert np.mean(np.array(nearest) < 1.0) >= 0.85
 
 
@@ -350,9 +342,7 @@ def common(first: np.ndarray, second: np.ndarray) -> set:
 
 @pytest.fixture(scope="module")
 def noisy(localizer) -> list[Touch]:
-    raycast = registry().create("renderer", "raycast", {})
-    source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, noise=make_noise("mild"))
-    return [source.draw_example(1, np.random.default_rng([31, k]))[0][0] for k in range(32)]
+    return [touch for (touch,) in draw_examples(localizer, 31, 32, 1, make_noise("mild"))]
 
 
 def near(touch: Touch, rng: np.random.Generator) -> GaussianPrior:
@@ -371,17 +361,13 @@ def test_a_prior_guides_the_search(localizer, search, noisy):
     for touch in noisy:
         for name, prior in (("alone", None), ("guided", near(touch, rng))):
             poses = search.score(touch, StageTimes(), prior)[0].T_sensor_object
-            found[name].append(off_mm(localizer, poses, touch).min())
+            found[name].append(measure_errors_mm(localizer, poses, touch).min())
     assert np.mean(found["guided"]) < 0.75 * np.mean(found["alone"])
 
 
 def test_a_prior_of_several_touches_applies_in_the_frame_of_the_first_sensor(localizer, search, examples):
     touches = examples[2]
-    T_base = [np.asarray(touch.T_base_sensor) for touch in touches]
-    views = [
-        View(touch, localizer.scene.match_touch(touch), invert(T) @ T_base[0])
-        for touch, T in zip(touches, T_base, strict=True)
-    ]
+    views = localizer.make_views(touches)
     prior = near(touches[0], np.random.default_rng(5))
     for view in views:
         _, (poses, _) = search.propose(view.touch, 200, SeenFrom(prior, invert(view.T_sensor_first)))
@@ -390,7 +376,7 @@ def test_a_prior_of_several_touches_applies_in_the_frame_of_the_first_sensor(loc
         others = prior(invert(view.T_sensor_first) @ search.propose(view.touch, 200)[0][0])
         assert np.median(likely) > np.median(others)
     found = search_together(views, [search] * 3, StageTimes(), prior)
-    assert off_mm(localizer, found.T_first_object, touches[0]).min() < 1.0
+    assert measure_errors_mm(localizer, found.T_first_object, touches[0]).min() < 1.0
 
 
 def test_an_all_excluding_prior_is_ignored_and_an_invalid_prior_is_refused(search, examples):
