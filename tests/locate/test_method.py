@@ -13,9 +13,8 @@ from tactile_loc.slots.registry import registry
 
 def explain(refiner: str, searched: bool, together: Any = "joint") -> str:
     registration: Any = None  # the note does not depend on it
-    return Refinement(registry().create("refiner", refiner), registration, together).describe_other_tasks(
-        refiner, searched
-    )
+    chosen = registry().create("refiner", refiner)
+    return Refinement(chosen, refiner, registration, together).describe_other_tasks(searched)
 
 
 @pytest.mark.parametrize(
