@@ -14,10 +14,10 @@ pytest.importorskip("viser")
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
-def test_the_page_is_served_until_a_signal_and_leaves_no_files(store, tmp_path, ending):
+def test_the_page_is_served_until_a_signal_and_leaves_no_files(store_folder, tmp_path, ending):
     process = subprocess.Popen(
         command("app", "--object", "pin", "--port", "0"),
-        env={**os.environ, "TACTILE_LOC_STORE": str(store), "TMPDIR": str(tmp_path)},
+        env={**os.environ, "TACTILE_LOC_STORE": str(store_folder), "TMPDIR": str(tmp_path)},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_ctrl_c,
     )  # fmt: skip
     try:
