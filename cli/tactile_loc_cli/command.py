@@ -21,7 +21,7 @@ from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.slots.registry import SLOTS, CommandSpec, registry
 from tactile_loc_cli.console import hide_results, name_flags, say_json, show_log
 from tactile_loc_cli.failures import Finding, report_failures
-from tactile_loc_cli.options import RunOptions, Takes
+from tactile_loc_cli.options import RunOptions, Takes, declare
 
 logger = logging.getLogger(__name__)
 
@@ -33,8 +33,7 @@ Verbose = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Hide warnings and progress.")]
 Json = Annotated[
-    bool,
-    typer.Option("--json", help="Print the result on stdout as one JSON document, in SI units, instead of text."),
+    bool, declare("--json", "Print the result on stdout as one JSON document, in SI units, instead of text.")
 ]
 
 SHARED = {"as_json": (Json, False), "verbose": (Verbose, 0), "quiet": (Quiet, False)}

@@ -23,11 +23,21 @@ from typing import Any
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.core.runtime.progress import NOTE, Progress, rank
 
+logger = logging.getLogger(__name__)
+
 _FLAGS: ContextVar[Mapping[str, str]] = ContextVar("flags", default=MappingProxyType({}))
 PACKAGES = ("tactile_loc", "tactile_loc_cli")
 LEVELS = {-1: logging.ERROR, 0: NOTE, 1: logging.INFO, 2: logging.DEBUG}  # by verbosity
 EVERY_S = 10.0  # least time between two lines of progress
 REASONS = 5  # number of shown reasons why frames have no pose
+VERDICTS = {  # key of the count, and what is written
+    "certain": "certain",
+    "ambiguous": "ambiguous",
+    "poor_fit": "poor fit",
+    "not_found": "not found",
+    "no_contact": "without contact",
+    "refused": "refused",
+}
 UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: width without a terminal, and least width of a folded column
 
 
@@ -61,6 +71,17 @@ def say_reasons(reasons: Sequence[tuple[str, int]]) -> int:
     for reason, count in reasons[:REASONS]:
         say(f"{count} without a pose: {write_flags(reason)}")
     return max(0, len(reasons) - REASONS)
+
+
+def list_verdicts(counts: Mapping[str, int]) -> str:
+    """Return the number of frames with each verdict, from `count_frames`, as text."""
+    return ", ".join(f"{counts[name]} {word}" for name, word in VERDICTS.items() if counts[name]) or "none"
+
+
+def warn_of_uncertain(counts: Mapping[str, int]) -> None:
+    """Warn if frames have a pose, but no frame is certain."""
+    if counts["located"] and not counts["certain"]:
+        logger.warning("no pose is certain; check the object, the sensor and the unit")
 
 
 def say_table(rows: Sequence[Sequence[str]], left: int | Container[int] = 2, gap: int = 1, fold: bool = False) -> None:

@@ -39,15 +39,25 @@ Noise = StrEnum("Noise", "NONE MILD STRONG")  # of simulated touches
 TOUCHED = (
     "Mesh file (STL, OBJ, PLY, STEP, ...) or demo object that was touched."  # help of --object where it has no default
 )
+# Options of RunOptions that many commands take.
+OBJECT = ("object", "units", "symmetry")
+TOUCH_FILES = ("touch_unit", "touch_kind")
+SETTINGS = ("option", "config")
+SEARCH = ("grid", "renderer", "encoder", "matcher", "refiner")
+OF_FRAMES = (*OBJECT, *TOUCH_FILES, "press_depth", "sensor", *SEARCH, *SETTINGS, "seed")
 READ_FROM = {  # advice for sensors that are chosen by their path
     "file": "give the file itself: --sensor my_sensor.toml",
     "calibrated": "give the calibration folder itself: --sensor FOLDER",
 }
 
 
-def declare(flag: str, metavar: str | None, about: str, **limits: Any) -> Any:
-    """Return the declaration of an option with its help. A flag, or an option with fixed values, has no `metavar`."""
-    return typer.Option(flag, metavar=metavar, help=about, **limits)
+def declare(flag: str, about: str, **limits: Any) -> Any:
+    """Return the declaration of an option with its help. `flag` also names the value, as in "--out FOLDER".
+
+    A flag without a value, or an option with fixed values, names none.
+    """
+    name, _, metavar = flag.partition(" ")
+    return typer.Option(name, metavar=metavar or None, help=about, **limits)
 
 
 def set_option(about: str, metavar: str = "SLOT.OPTION=VALUE") -> Any:
@@ -63,77 +73,71 @@ class RunOptions:
     """
 
     object: Annotated[
-        str | None,
-        declare("--object", "FILE|DEMO", "Mesh file (STL, OBJ, PLY, STEP, ...) or demo object. Default: hook."),
+        str | None, declare("--object FILE|DEMO", "Mesh file (STL, OBJ, PLY, STEP, ...) or demo object. Default: hook.")
     ] = None
     units: Annotated[
         Units | None,
-        declare(
-            "--units", None, "Unit of the mesh file. Default: auto, as the file states, else guessed from its size."
-        ),
+        declare("--units", "Unit of the mesh file. Default: auto, as the file states, else guessed from its size."),
     ] = None
     symmetry: Annotated[
         str | None,
         declare(
-            "--symmetry", "GROUP",
+            "--symmetry GROUP",
             "Rotational symmetry: none, or terms joined by *. z6: looks the same after each 1/6 turn about z. zinf: "
             "round about z. sphere: round in all directions. Default: auto, detected.",
         ),
-    ] = None  # fmt: skip
+    ] = None
     touch: Annotated[
         str | None,
         declare(
-            "--touch", "FILE|FOLDER|LIST",
+            "--touch FILE|FOLDER|LIST",
             "A contact shape (npz, npy, 16-bit png) or an image. A folder or '*.png' locates each touch separately. "
             "A list (.toml) fuses several touches of one object. Default: a simulated touch.",
         ),
-    ] = None  # fmt: skip
+    ] = None
     touch_unit: Annotated[
-        TouchUnit | None, declare("--touch-unit", None, "Unit of the touch's depths, if its file does not state it.")
+        TouchUnit | None, declare("--touch-unit", "Unit of the touch's depths, if its file does not state it.")
     ] = None
     touch_kind: Annotated[
         TouchKind | None,
         declare(
-            "--touch-kind", None,
+            "--touch-kind",
             "Meaning of the touch's depths, if its file does not state it: distance from full penetration, indentation "
             "(0 = no contact), or height above the untouched gel. A mask has no depths: 1 or 255 is contact. Default: "
             "distance.",
         ),
-    ] = None  # fmt: skip
+    ] = None
     press_depth: Annotated[
         float | None,
-        declare(
-            "--press-depth", "MM",
-            "Press depth of the touch in mm. Default: that in its file, or an estimate.",
-        ),
-    ] = None  # fmt: skip
-    noise: Annotated[Noise | None, declare("--noise", None, "Noise of simulated touches. Default: none.")] = None
+        declare("--press-depth MM", "Press depth of the touch in mm. Default: that in its file, or an estimate."),
+    ] = None
+    noise: Annotated[Noise | None, declare("--noise", "Noise of simulated touches. Default: none.")] = None
     sensor: Annotated[
         str | None,
         declare(
-            "--sensor", "NAME|FILE.toml|FOLDER",
+            "--sensor NAME|FILE.toml|FOLDER",
             "Sensor, its description file, or its calibration folder (write ./FOLDER if a sensor has the same name). "
             "Default: gelslim.",
         ),
-    ] = None  # fmt: skip
-    zero: Annotated[
-        Path | None, declare("--zero", "IMAGE", "A newer image of the untouched gel, for a calibrated sensor.")
     ] = None
-    grid: Annotated[str | None, declare("--grid", "NAME", "Poses to search. Default: whole.")] = None
+    zero: Annotated[
+        Path | None, declare("--zero IMAGE", "A newer image of the untouched gel, for a calibrated sensor.")
+    ] = None
+    grid: Annotated[str | None, declare("--grid NAME", "Poses to search. Default: whole.")] = None
     renderer: Annotated[
-        str | None, declare("--renderer", "NAME", "Renderer, which computes contact shapes. Default: heightmap.")
+        str | None, declare("--renderer NAME", "Renderer, which computes contact shapes. Default: heightmap.")
     ] = None
     encoder: Annotated[
-        str | None, declare("--encoder", "NAME", "Encoder, which converts contact shapes to vectors. Default: pixel.")
+        str | None, declare("--encoder NAME", "Encoder, which converts contact shapes to vectors. Default: pixel.")
     ] = None
     matcher: Annotated[
-        str | None, declare("--matcher", "NAME", "Matcher, which compares the vectors. Default: dense.")
+        str | None, declare("--matcher NAME", "Matcher, which compares the vectors. Default: dense.")
     ] = None
     refiner: Annotated[
-        str | None, declare("--refiner", "NAME", "Refiner, which improves the best poses. Default: joint.")
+        str | None, declare("--refiner NAME", "Refiner, which improves the best poses. Default: joint.")
     ] = None
     fuser: Annotated[
-        str | None, declare("--fuser", "NAME", "Fuser, which combines touches and prior. Default: product.")
+        str | None, declare("--fuser NAME", "Fuser, which combines touches and prior. Default: product.")
     ] = None
     option: Annotated[
         list[str] | None,
@@ -145,36 +149,35 @@ class RunOptions:
     ] = None
     config: Annotated[
         Path | None,
-        declare("--config", "FILE.toml", "Read settings from a TOML file. Options on the command line override it."),
+        declare("--config FILE.toml", "Read settings from a TOML file. Options on the command line override it."),
     ] = None
     drop_outliers: Annotated[
-        bool, declare("--drop-outliers", None, "With a list of touches: leave out a touch that contradicts all others.")
+        bool, declare("--drop-outliers", "With a list of touches: leave out a touch that contradicts all others.")
     ] = False
     top: Annotated[
         int | None,
         declare(
-            "--top", "N",
+            "--top N",
             "Number of poses to refine and list. Default: 10. With --grid face or hopf, fewer also changes the "
             "probabilities.",
         ),
-    ] = None  # fmt: skip
+    ] = None
     coverage: Annotated[
         float | None,
         declare(
-            "--coverage",
-            "P",
+            "--coverage P",
             "List the poses of a set that holds the true pose with probability P, such as 0.95; replaces --top.",
         ),
     ] = None
     tolerance: Annotated[
         str | None,
         declare(
-            "--tolerance", "MM,DEG",
+            "--tolerance MM,DEG",
             "Largest error of a pose that is called certain: a surface distance, a rotation, or both, such as "
             "0.5mm,2deg. Default: 1mm.",
         ),
-    ] = None  # fmt: skip
-    seed: Annotated[int | None, declare("--seed", "N", "Seed of everything random. Default: 0.")] = None
+    ] = None
+    seed: Annotated[int | None, declare("--seed N", "Seed of everything random. Default: 0.")] = None
 
 
 class Takes:
@@ -193,21 +196,19 @@ class Takes:
 
 
 Rerun = Annotated[
-    Path | None, declare("--rerun", "FILE.rrd", "Also write touches and poses to a file for the Rerun viewer.")
+    Path | None, declare("--rerun FILE.rrd", "Also write touches and poses to a file for the Rerun viewer.")
 ]
 Required = StrEnum("Required", "CERTAIN")  # verdicts that --require takes
 Require = Annotated[
-    Required | None,
-    declare("--require", None, "End with exit code 3 if the verdict is another one. The result is written."),
+    Required | None, declare("--require", "End with exit code 3 if the verdict is another one. The result is written.")
 ]
-Report = Annotated[bool, declare("--report", None, "Also write report.html: the result as one self-contained page.")]
+Report = Annotated[bool, declare("--report", "Also write report.html: the result as one self-contained page.")]
 SensorPoses = Annotated[
-    Path | None,
-    declare("--poses", "FILE.csv", "The sensor's poses for a folder of images: a CSV file (docs/files.md)."),
+    Path | None, declare("--poses FILE.csv", "The sensor's poses for a folder of images: a CSV file (docs/files.md).")
 ]
 Store = Annotated[
     Path | None,
-    declare("--store", "FOLDER", "Folder of built models. Default: $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),
+    declare("--store FOLDER", "Folder of built models. Default: $TACTILE_LOC_STORE or ~/.cache/tactile-loc."),
 ]
 
 
@@ -223,9 +224,14 @@ def make_config(given: RunOptions) -> RunConfig:
     settings = {} if given.config is None else read_toml(given.config)
     tables: dict[str, dict[str, Any]] = {
         "object": {"path": given.object, "units": given.units, "symmetry": given.symmetry},
-        "touch": {"path": given.touch, "unit": given.touch_unit, "kind": given.touch_kind,
-                  "press_depth_mm": given.press_depth, "noise": given.noise},
-    }  # fmt: skip
+        "touch": {
+            "path": given.touch,
+            "unit": given.touch_unit,
+            "kind": given.touch_kind,
+            "press_depth_mm": given.press_depth,
+            "noise": given.noise,
+        },
+    }
     for name, table in tables.items():
         settings[name] = {**_require_table(settings.get(name, {}), name, given.config), **_drop_none(table)}
     zero = [] if given.zero is None else [f"sensor.zero={json.dumps(str(given.zero))}"]

@@ -11,13 +11,11 @@ from tactile_loc_cli.options import declare
 if TYPE_CHECKING:
     from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers
 
-Processes = Annotated[int | None, declare("--workers", "N", "Local processes. Default: one for each core.", min=1)]
+Processes = Annotated[int | None, declare("--workers N", "Local processes. Default: one for each core.", min=1)]
 Threads = Annotated[
-    int | None, declare("--threads", "N", "Threads of each local process (OpenMP, numba). Default: 1.", min=1)
+    int | None, declare("--threads N", "Threads of each local process (OpenMP, numba). Default: 1.", min=1)
 ]
-Scheduler = Annotated[
-    str | None, declare("--scheduler", "tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")
-]
+Scheduler = Annotated[str | None, declare("--scheduler tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")]
 
 
 def choose_workers(

@@ -94,7 +94,7 @@ from tactile_loc.plugin import ConfigError
 application = typer.Typer()
 
 @application.command()
-def greet(name: Annotated[str, declare("--name", "NAME", "Who is greeted.")] = "all", fail: bool = False):
+def greet(name: Annotated[str, declare("--name NAME", "Who is greeted.")] = "all", fail: bool = False):
     \"\"\"Greet.\"\"\"
     if fail:
         raise ConfigError("nobody is there")

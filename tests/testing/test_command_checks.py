@@ -18,7 +18,7 @@ SOUND = '''
 from typing import Annotated
 from tactile_loc.commands import RunOptions, Takes, declare
 
-def bow(given: Annotated[RunOptions, Takes("object")], deep: Annotated[bool, declare("--deep", None, "Very.")] = False):
+def bow(given: Annotated[RunOptions, Takes("object")], deep: Annotated[bool, declare("--deep", "Very.")] = False):
     """Bow."""
 '''
 

@@ -5,36 +5,34 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say
-from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.options import RunOptions, declare
 
 if TYPE_CHECKING:
     from tactile_loc.locate.localizer import Localizer
 
 
+BUILT = ("grid", "renderer", "encoder", "refiner", "fuser")  # the slots on which a model depends
 Given = Annotated[
     RunOptions,
     options.Takes(
-        "object", "units", "symmetry", "press_depth", "sensor", "grid", "renderer", "encoder", "refiner", "fuser",
-        "option", "config", "seed",
+        *options.OBJECT,
+        "press_depth",
+        "sensor",
+        *BUILT,
+        *options.SETTINGS,
+        "seed",
         press_depth="Press depth in mm for which the model is built. Default: the sensor's maximal depth.",
     ),
-]  # fmt: skip
+]
 Several = Annotated[
     bool,
-    typer.Option(
-        "--several", help="Also fit the probabilities of several touches, which `run` needs for a list of touches."
-    ),
+    declare("--several", "Also fit the probabilities of several touches, which `run` needs for a list of touches."),
 ]
 Coverage = Annotated[
-    bool,
-    typer.Option(
-        "--coverage", help="Also fit the sets of poses that `run --coverage` lists; it takes about half a minute."
-    ),
+    bool, declare("--coverage", "Also fit the sets of poses that `run --coverage` lists; it takes about half a minute.")
 ]
 
 
@@ -88,8 +86,11 @@ def _report(localizer: Localizer, several: bool, coverage: bool, seconds: float)
     about = {"size_m": extents_m, "triangles": len(obj.mesh.faces), "symmetry": str(obj.symmetry)}
     return {
         "object": {"name": obj.name, "source": obj.source, **about},
-        "grid": grid, "stages": stages, "store": str(store.root), "seconds": seconds,
-    }  # fmt: skip
+        "grid": grid,
+        "stages": stages,
+        "store": str(store.root),
+        "seconds": seconds,
+    }
 
 
 def _describe_grid(localizer: Localizer) -> dict[str, Any]:

@@ -37,61 +37,49 @@ Folder = Annotated[
 Geometry = Annotated[
     str | None,
     declare(
-        "--sensor", "FILE.toml|NAME",
+        "--sensor FILE.toml|NAME",
         "Sensor description. Default: FOLDER/sensor.toml. With --simulated also a sensor's name, by default gelslim.",
     ),
-]  # fmt: skip
+]
 EstimatorName = Annotated[
     Estimator,
-    typer.Option(
-        "--estimator", help="photometric: slope from the colour of each pixel. cnn: a network for the whole image."
-    ),
+    declare("--estimator", "photometric: slope from the colour of each pixel. cnn: a network for the whole image."),
 ]
 Untouched = Annotated[
-    Background,
-    typer.Option("--background", help="Image of the untouched gel: that of the table, or the median of all presses."),
+    Background, declare("--background", "Image of the untouched gel: that of the table, or the median of all presses.")
 ]
-PublicFormat = Annotated[
-    Format | None, typer.Option("--format", help="FOLDER is a public calibration set of this format.")
-]
+PublicFormat = Annotated[Format | None, declare("--format", "FOLDER is a public calibration set of this format.")]
 BallRadius = Annotated[
     float | None,
-    declare("--ball-radius", "MM", "Radius of the ball in mm. Needed if there is no presses.csv, and with --format."),
+    declare("--ball-radius MM", "Radius of the ball in mm. Needed if there is no presses.csv, and with --format."),
 ]
 PixelSize = Annotated[
     float | None,
     declare(
-        "--mm-per-px", "MM", "Size of a pixel on the gel in mm. Needed if there is no sensor.toml, and with --format."
+        "--mm-per-px MM", "Size of a pixel on the gel in mm. Needed if there is no sensor.toml, and with --format."
     ),
 ]
 ImageSize = Annotated[
     tuple[int, int] | None,
     declare(
-        "--image-size", "WIDTH HEIGHT",
+        "--image-size WIDTH HEIGHT",
         "Reduce the images to this size in pixels. Default: at most 200 along the longer side. Labels stay in pixels "
-        "of the original images.", min=16,
+        "of the original images.",
+        min=16,
     ),
-]  # fmt: skip
-Simulated = Annotated[
-    bool, typer.Option("--simulated", help="Instead of FOLDER: simulate presses of two calibration boards.")
 ]
-Lamps = Annotated[
-    str | None, declare("--optics", "NAME", "With --simulated: lamps of gelslim, gelsight-mini or digit.")
-]
+Simulated = Annotated[bool, declare("--simulated", "Instead of FOLDER: simulate presses of two calibration boards.")]
+Lamps = Annotated[str | None, declare("--optics NAME", "With --simulated: lamps of gelslim, gelsight-mini or digit.")]
 Presses = Annotated[
     int | None,
-    declare(
-        "--presses", "N", "With --simulated: number of presses. Default: 200, or 2000 for cnn.", min=5, max=100_000
-    ),
+    declare("--presses N", "With --simulated: number of presses. Default: 200, or 2000 for cnn.", min=5, max=100_000),
 ]
-Curved = Annotated[
-    bool, typer.Option("--curved", help="Also learn the surface of a curved gel, from presses of a ball.")
-]
+Curved = Annotated[bool, declare("--curved", "Also learn the surface of a curved gel, from presses of a ball.")]
 EstimatorOption = Annotated[
     list[str] | None, set_option("Set an option of the estimator, such as steps=4000.", "OPTION=VALUE")
 ]
-HeldOutSeed = Annotated[int, declare("--seed", "N", "Seed that chooses the held-out presses.", min=0)]
-Out = Annotated[Path, declare("--out", "FOLDER", "Calibration folder to write.")]
+HeldOutSeed = Annotated[int, declare("--seed N", "Seed that chooses the held-out presses.", min=0)]
+Out = Annotated[Path, declare("--out FOLDER", "Calibration folder to write.")]
 
 
 def calibrate(
@@ -127,7 +115,8 @@ def calibrate(
     require_writable(out)
     require_replaceable(out.absolute())
     recipe = EstimatorRecipe(estimator, _parse_options(option or []), seed)
-    _require_one_source(folder, format, background, image_size, curved, simulated, optics, presses)
+    of_folder = format is not None or background is not Background.TABLE or image_size is not None or curved
+    _require_one_source(simulated, folder, of_folder, optics is not None or presses is not None)
     if folder is None:
         return _calibrate_simulated(sensor, optics, presses, recipe, out, store)
     labels: dict[str, Any] = {}
@@ -144,18 +133,15 @@ def calibrate(
         return {**_finish(outcome, out), **labels}
 
 
-def _require_one_source(
-    folder: Path | None, format: Format | None, background: Background, image_size: tuple[int, int] | None,
-    curved: bool, simulated: bool, optics: str | None, presses: int | None,
-) -> None:  # fmt: skip
-    of_folder = folder, format, image_size
-    if simulated and (any(given is not None for given in of_folder) or background is not Background.TABLE or curved):
+def _require_one_source(simulated: bool, folder: Path | None, of_folder: bool, of_simulation: bool) -> None:
+    """Raise ConfigError unless presses come from one source, and all given options are for it."""
+    if simulated and (folder is not None or of_folder):
         raise ConfigError(
             "--simulated needs no images; leave out FOLDER, --format, --background, --image-size and --curved"
         )
     if not simulated and folder is None:
         raise ConfigError("no presses are given; give FOLDER with images of presses, or --simulated")
-    if not simulated and (optics is not None or presses is not None):
+    if not simulated and of_simulation:
         raise ConfigError("--optics and --presses need --simulated; add it, or leave them out")
 
 

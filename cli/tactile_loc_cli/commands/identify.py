@@ -12,7 +12,7 @@ from tactile_loc_cli import options
 from tactile_loc_cli.commands.next_touch import DRAWN, SEED, Around, Candidates, find_approaches
 from tactile_loc_cli.console import make_progress, say_written
 from tactile_loc_cli.failures import NOT_AS_REQUIRED, Finding
-from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.options import RunOptions, declare
 
 if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import Touch
@@ -24,34 +24,26 @@ DEFAULT_OUT = Path("tactile-loc-identify")
 NONE_OF_THESE = 1
 
 Objects = Annotated[
-    Path,
-    options.declare("--objects", "FOLDER", "Folder of mesh files (stl, obj, step, glb, ...), or a library of parts."),
+    Path, declare("--objects FOLDER", "Folder of mesh files (stl, obj, step, glb, ...), or a library of parts.")
 ]
 Touches = Annotated[
-    str, options.declare("--touch", "FILE|LIST", "A touch file, or a list (.toml) of several touches of one object.")
+    str, declare("--touch FILE|LIST", "A touch file, or a list (.toml) of several touches of one object.")
 ]
-Located = Annotated[
-    int, options.declare("--located", "N", "Most objects to locate: the most probable ones after a rough search.")
-]
+Located = Annotated[int, declare("--located N", "Most objects to locate: the most probable ones after a rough search.")]
 Unknown = Annotated[
     float,
-    options.declare(
-        "--unknown", "SHARE",
-        "Share of touched objects that are none of these, before any touch: above 0, below 1.",
-    ),
-]  # fmt: skip
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of identification.json.")]
+    declare("--unknown SHARE", "Share of touched objects that are none of these, before any touch: above 0, below 1."),
+]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of identification.json.")]
 Given = Annotated[
     RunOptions,
     options.Takes(
         "units",
         "symmetry",
-        "touch_unit",
-        "touch_kind",
+        *options.TOUCH_FILES,
         "press_depth",
         "sensor",
-        "option",
-        "config",
+        *options.SETTINGS,
         symmetry="Rotational symmetry of every object, such as none or z6. Default: auto, detected for each object.",
     ),
 ]

@@ -21,19 +21,20 @@ if TYPE_CHECKING:
 DIRECTIONS = 800
 
 Meshes = Annotated[
-    list[Path],
-    typer.Argument(metavar="MESH", help="Mesh files (stl, obj, ply, off, step), or folders of mesh files."),
+    list[Path], typer.Argument(metavar="MESH", help="Mesh files (stl, obj, ply, off, step), or folders of mesh files.")
 ]
 Library = Annotated[Path, typer.Argument(metavar="LIBRARY", help="Folder of the library.")]
 Names = Annotated[list[str], typer.Argument(metavar="NAME", help="Names of parts.")]
-Out = Annotated[Path, declare("--out", "LIBRARY", "Folder of the library.")]
+Out = Annotated[Path, declare("--out LIBRARY", "Folder of the library.")]
 Directions = Annotated[
     int,
     declare(
-        "--directions", "N", "Directions from which the places of a part are found; fewer give a smaller library.",
-        min=100, max=100_000,
+        "--directions N",
+        "Directions from which the places of a part are found; fewer give a smaller library.",
+        min=100,
+        max=100_000,
     ),
-]  # fmt: skip
+]
 Given = Annotated[
     RunOptions,
     options.Takes(
@@ -135,9 +136,11 @@ def list_parts(library: Library) -> dict[str, Any]:
     say_table([["part", "x mm", "y mm", "z mm", "places", "symmetry", "made from"], *rows], left=(0, 5, 6))
     say(_summarise(opened))
     return {
-        "library": str(library), "parts": [asdict(row) for row in opened.rows.values()], "bytes": opened.nbytes,
+        "library": str(library),
+        "parts": [asdict(row) for row in opened.rows.values()],
+        "bytes": opened.nbytes,
         "grid": opened.manifest.grid,
-    }  # fmt: skip
+    }
 
 
 def _choose_runner(library: Path, workers: int | None, scheduler: str | None) -> RunJobs:
@@ -156,9 +159,13 @@ def _report(built: Built) -> dict[str, Any]:
         complain("failed", f"{name}: {reason}")
     say(f"{format_count(len(built.made), 'part')} built, {len(built.kept)} kept; {_summarise(built.library)}")
     result = {
-        "library": str(built.library.path), "built": list(built.made), "kept": list(built.kept),
-        "failed": dict(built.failed), "parts": len(built.library), "bytes": built.library.nbytes,
-    }  # fmt: skip
+        "library": str(built.library.path),
+        "built": list(built.made),
+        "kept": list(built.kept),
+        "failed": dict(built.failed),
+        "parts": len(built.library),
+        "bytes": built.library.nbytes,
+    }
     if built.failed:
         raise Finding(USAGE_ERROR, result)
     return result

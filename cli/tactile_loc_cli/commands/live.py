@@ -16,9 +16,8 @@ import typer
 
 from tactile_loc.core.runtime.errors import ConfigError, OutputError, TouchError
 from tactile_loc_cli import options
-from tactile_loc_cli.console import format_count, say, say_reasons, say_written
-from tactile_loc_cli.options import RunOptions
-from tactile_loc_cli.verdict_counts import list_verdicts, warn_of_uncertain
+from tactile_loc_cli.console import format_count, list_verdicts, say, say_reasons, say_written, warn_of_uncertain
+from tactile_loc_cli.options import RunOptions, declare
 
 if TYPE_CHECKING:
     from tactile_loc.io.streams.frame_sources import FrameSource
@@ -36,17 +35,14 @@ PORT = 8420
 Source = Annotated[
     Path | None,
     typer.Argument(
-        metavar="FOLDER|VIDEO", show_default=False,
-        help="A folder that receives images or contact shapes, or a video.",
+        metavar="FOLDER|VIDEO", show_default=False, help="A folder that receives images or contact shapes, or a video."
     ),
-]  # fmt: skip
+]
 CameraOption = Annotated[
-    str | None,
-    options.declare("--camera", "N", "Use a camera: its number, from 0, or its device, such as /dev/video2."),
+    str | None, declare("--camera N", "Use a camera: its number, from 0, or its device, such as /dev/video2.")
 ]
 Once = Annotated[
-    bool,
-    typer.Option("--once", help="Locate every frame already in the folder or video, then exit; not with --camera."),
+    bool, declare("--once", "Locate every frame already in the folder or video, then exit; not with --camera.")
 ]
 Track = Annotated[
     bool,
@@ -57,22 +53,14 @@ Track = Annotated[
     ),
 ]
 Out = Annotated[
-    Path | None, options.declare("--out", "FILE.jsonl", "Write each result as a line of JSON. Default: write no file.")
+    Path | None, declare("--out FILE.jsonl", "Write each result as a line of JSON. Default: write no file.")
 ]
 Port = Annotated[
     int,
-    options.declare(
-        "--port", "N", f"Port of the view on this machine; 0 takes a free one. Default: {PORT}.", show_default=False
-    ),
+    declare("--port N", f"Port of the view on this machine; 0 takes a free one. Default: {PORT}.", show_default=False),
 ]
 View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and poses on a local web page.")]
-Given = Annotated[
-    RunOptions,
-    options.Takes(
-        "object", "units", "symmetry", "touch_unit", "touch_kind", "press_depth", "sensor", "zero", "grid", "renderer",
-        "encoder", "matcher", "refiner", "option", "config", "seed", object=options.TOUCHED,
-    ),
-]  # fmt: skip
+Given = Annotated[RunOptions, options.Takes(*options.OF_FRAMES, "zero", object=options.TOUCHED)]
 
 
 def live(

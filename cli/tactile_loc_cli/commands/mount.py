@@ -9,31 +9,25 @@ from typing import Annotated, Any
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say_written
-from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.options import RunOptions, declare
 
 DEFAULT_OUT = Path("tactile-loc-mount")
 
 Touches = Annotated[
-    str,
-    options.declare(
-        "--touch", "LIST",
-        "List (.toml) of ten or more touches of one fixed part, each with its T_base_flange.",
-    ),
-]  # fmt: skip
+    str, declare("--touch LIST", "List (.toml) of ten or more touches of one fixed part, each with its T_base_flange.")
+]
 Nominal = Annotated[
     Path | None,
-    options.declare(
-        "--nominal", "FILE.toml",
+    declare(
+        "--nominal FILE.toml",
         "Approximate mount: T_flange_sensor, or xyz_mm and rpy_deg; within 30 mm and 30 degrees of the true one.",
     ),
-]  # fmt: skip
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of mount.toml and mount.png.")]
+]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of mount.toml and mount.png.")]
 Given = Annotated[
     RunOptions,
-    options.Takes(
-        "object", "units", "symmetry", "touch_unit", "touch_kind", "sensor", "option", "config", object=options.TOUCHED
-    ),
-]  # fmt: skip
+    options.Takes(*options.OBJECT, *options.TOUCH_FILES, "sensor", *options.SETTINGS, object=options.TOUCHED),
+]
 
 
 def mount(

@@ -13,6 +13,7 @@ from tactile_loc.core.runtime.errors import ConfigError, ResultError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say_written
+from tactile_loc_cli.options import declare
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,45 +34,40 @@ SEED = 0
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="Folder written by run, or its result.json.")]
 Candidates = Annotated[
     Path | None,
-    options.declare(
-        "--candidates", "FILE.toml",
+    declare(
+        "--candidates FILE.toml",
         "Approaches: [[approach]] tables, each with a start pose: xyz_mm with rpy_deg, or T_sensor_next in metres "
         "(docs/next-touch.md).",
     ),
-]  # fmt: skip
+]
 Around = Annotated[
     int | None,
-    options.declare(
-        "--around", "N",
+    declare(
+        "--around N",
         "Without --candidates: N approaches from random directions around the object. They are also written to "
         "approaches.toml, which --candidates reads.",
-        min=1, max=MOST,
+        min=1,
+        max=MOST,
     ),
-]  # fmt: skip
+]
 Finger = Annotated[
     str | None,
-    options.declare(
-        "--finger", "FILE|XxYxZmm",
+    declare(
+        "--finger FILE|XxYxZmm",
         "Body that carries the sensor: a mesh file in the sensor frame, or the sides of a box behind the gel, such as "
         "32x28x24mm. Approaches are out of reach if it would hit the object. It needs tactile-loc[clearance].",
     ),
-]  # fmt: skip
+]
 Fixture = Annotated[
-    Path | None,
-    options.declare("--fixture", "FILE", "Mesh file in the base frame that the --finger must not hit either."),
+    Path | None, declare("--fixture FILE", "Mesh file in the base frame that the --finger must not hit either.")
 ]
-Floor = Annotated[
-    float | None, options.declare("--floor", "MM", "The --finger must stay above z = MM of the base frame.")
-]
+Floor = Annotated[float | None, declare("--floor MM", "The --finger must stay above z = MM of the base frame.")]
 MeshUnits = Annotated[
-    options.Units,
-    options.declare("--units", None, "Unit of the files of --finger and --fixture. auto: guessed from their size."),
+    options.Units, declare("--units", "Unit of the files of --finger and --fixture. auto: guessed from their size.")
 ]
-Seed = Annotated[int, options.declare("--seed", "N", "Seed of the approaches of --around.", min=0)]
-Top = Annotated[int, options.declare("--top", "N", "Number of approaches to show; the file has all of them.")]
-Out = Annotated[
-    Path, options.declare("--out", "FOLDER", "Folder of next_touch.json, next_touch.png and approaches.toml.")
-]
+Seed = Annotated[int, declare("--seed N", "Seed of the approaches of --around.", min=0)]
+Top = Annotated[int, declare("--top N", "Number of approaches to show; the file has all of them.")]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of next_touch.json, next_touch.png and approaches.toml.")]
 
 
 def next_touch(

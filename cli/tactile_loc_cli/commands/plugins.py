@@ -12,7 +12,7 @@ import typer
 from tactile_loc.slots.registry import COMMAND
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.failures import Finding
-from tactile_loc_cli.options import require_slot, set_option
+from tactile_loc_cli.options import declare, require_slot, set_option
 
 if TYPE_CHECKING:
     from tactile_loc.slots.component import Component
@@ -23,14 +23,11 @@ BROKEN_CONTRACT = 1
 Slot = Annotated[str | None, typer.Argument(metavar="SLOT", help="Only this slot.")]
 Name = Annotated[str | None, typer.Argument(metavar="NAME", help="List the options of this component.")]
 Check = Annotated[
-    bool, typer.Option("--check", help="Run the contract checks of SLOT NAME; exit code 1 if it breaks a contract.")
+    bool, declare("--check", "Run the contract checks of SLOT NAME; exit code 1 if it breaks a contract.")
 ]
 SetOption = Annotated[list[str] | None, set_option("With --check: set an option of the component; may be repeated.")]
 Properties = Annotated[
-    bool,
-    typer.Option(
-        "--properties", help="With --check: also run property tests; needs pip install 'tactile-loc[testing]'."
-    ),
+    bool, declare("--properties", "With --check: also run property tests; needs pip install 'tactile-loc[testing]'.")
 ]
 
 

@@ -14,10 +14,9 @@ from tactile_loc.core.runtime.errors import ConfigError, OutputError, RecordingE
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.store.files import require_writable, shorten_name
 from tactile_loc_cli import options
-from tactile_loc_cli.console import format_count, say, say_reasons, say_written
+from tactile_loc_cli.console import format_count, list_verdicts, say, say_reasons, say_written, warn_of_uncertain
 from tactile_loc_cli.failures import NOT_AS_REQUIRED, Finding
-from tactile_loc_cli.options import RunOptions
-from tactile_loc_cli.verdict_counts import list_verdicts, warn_of_uncertain
+from tactile_loc_cli.options import RunOptions, declare
 
 if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig
@@ -33,54 +32,48 @@ SCATTER_MM = 2.0  # poses that scatter more give a hint that an object at rest c
 Source = Annotated[
     Path,
     typer.Argument(
-        metavar="RECORDING|FOLDER", show_default=False,
+        metavar="RECORDING|FOLDER",
+        show_default=False,
         help="An MCAP file, a ROS 1 bag (.bag), or the folder of a ROS 2 bag. With --poses: a folder of images or "
         "contact shapes.",
     ),
-]  # fmt: skip
-ImageTopic = Annotated[
-    str | None, options.declare("--image-topic", "TOPIC", "Topic of the images. Default: the only one with images.")
 ]
-PoseTopic = Annotated[str, options.declare("--pose-topic", "TOPIC", "Topic of the written poses.")]
-VerdictTopic = Annotated[str, options.declare("--verdict-topic", "TOPIC", "Topic of the written verdicts.")]
+ImageTopic = Annotated[
+    str | None, declare("--image-topic TOPIC", "Topic of the images. Default: the only one with images.")
+]
+PoseTopic = Annotated[str, declare("--pose-topic TOPIC", "Topic of the written poses.")]
+VerdictTopic = Annotated[str, declare("--verdict-topic TOPIC", "Topic of the written verdicts.")]
 Frame = Annotated[
-    str | None,
-    options.declare("--frame", "FRAME", "The sensor's frame (z out of the gel). Default: from the images' headers."),
+    str | None, declare("--frame FRAME", "The sensor's frame (z out of the gel). Default: from the images' headers.")
 ]
 BaseFrame = Annotated[
-    str | None,
-    options.declare("--base-frame", "FRAME", "Write poses in this frame of the recording's TF. Default: the sensor's."),
+    str | None, declare("--base-frame FRAME", "Write poses in this frame of the recording's TF. Default: the sensor's.")
 ]
 Track = Annotated[
-    bool,
-    typer.Option("--track", help="Track the object through the images. Default: locate each image separately."),
+    bool, declare("--track", "Track the object through the images. Default: locate each image separately.")
 ]
-Fuse = Annotated[
-    bool, typer.Option("--fuse", help="The object is at rest: locate touches together, and write one pose.")
-]
+Fuse = Annotated[bool, declare("--fuse", "The object is at rest: locate touches together, and write one pose.")]
 Require = Annotated[
     options.Required | None,
-    typer.Option(
-        "--require",
-        help="Write only poses with this verdict. End with exit code 3 if no pose has it.",
-    ),
+    declare("--require", "Write only poses with this verdict. End with exit code 3 if no pose has it."),
 ]
-PosesOnly = Annotated[bool, typer.Option("--poses-only", help="Write only the poses, without the recorded messages.")]
+PosesOnly = Annotated[bool, declare("--poses-only", "Write only the poses, without the recorded messages.")]
 Out = Annotated[
     Path | None,
-    options.declare(
-        "--out", "FILE.mcap|FILE.csv",
+    declare(
+        "--out FILE.mcap|FILE.csv",
         "New recording; with --poses, a table. Default: RECORDING-poses.mcap or FOLDER-poses.csv, in this folder.",
     ),
-]  # fmt: skip
+]
 Given = Annotated[
     RunOptions,
     options.Takes(
-        "object", "units", "symmetry", "touch_unit", "touch_kind", "press_depth", "sensor", "grid", "renderer",
-        "encoder", "matcher", "refiner", "option", "config", "drop_outliers", "seed", object=options.TOUCHED,
+        *options.OF_FRAMES,
+        "drop_outliers",
+        object=options.TOUCHED,
         drop_outliers="With --fuse: leave out a touch that contradicts all others.",
     ),
-]  # fmt: skip
+]
 
 
 def replay(
@@ -117,9 +110,12 @@ def replay(
     if given.drop_outliers and not fuse:
         raise ConfigError("--drop-outliers needs touches that are located together; give --fuse, or leave it out")
     written = ReplayOutput(
-        _choose_out(recording, out, poses is not None), pose_topic, verdict_topic, poses_only,
+        _choose_out(recording, out, poses is not None),
+        pose_topic,
+        verdict_topic,
+        poses_only,
         None if require is None else Verdict(require.value),
-    )  # fmt: skip
+    )
     opened = (
         _open_recording(settings, recording, image_topic, frame, base_frame, written, store)
         if poses is None
@@ -132,9 +128,12 @@ def replay(
         found = replace(found, written=(*found.written, write_replay(rerun, opened.source, found.records)))
     _report(found, opened)
     result = {
-        **asdict(found.summary), "resumed": found.resumed, "damage": opened.damage,
-        "rest": None if found.rest is None else found.rest.describe(), "written": say_written(found.written),
-    }  # fmt: skip
+        **asdict(found.summary),
+        "resumed": found.resumed,
+        "damage": opened.damage,
+        "rest": None if found.rest is None else found.rest.describe(),
+        "written": say_written(found.written),
+    }
     if written.required is not None and all(record.T_frame_object is None for record in found.records):
         raise Finding(NOT_AS_REQUIRED, result)
     return result
@@ -176,9 +175,14 @@ def _choose_out(recording: Path, out: Path | None, is_folder: bool) -> Path:
 
 
 def _open_recording(
-    settings: RunConfig, recording: Path, image_topic: str | None, frame: str | None, base_frame: str | None,
-    out: ReplayOutput, store: Path | None,
-) -> _Opened:  # fmt: skip
+    settings: RunConfig,
+    recording: Path,
+    image_topic: str | None,
+    frame: str | None,
+    base_frame: str | None,
+    out: ReplayOutput,
+    store: Path | None,
+) -> _Opened:
     """Open the images of a recording. Raises TactileLocError for bad input."""
     from tactile_loc.io.streams.recordings import Recording
     from tactile_loc.io.streams.recordings import choose_image_topic as chosen

@@ -8,14 +8,12 @@ from typing import Annotated, Any
 import typer
 
 from tactile_loc_cli.console import say
+from tactile_loc_cli.options import declare
 
 Result = Annotated[
-    Path,
-    typer.Argument(metavar="RESULT", help="Folder written by a command, or the .json file of a result."),
+    Path, typer.Argument(metavar="RESULT", help="Folder written by a command, or the .json file of a result.")
 ]
-Out = Annotated[
-    Path | None, typer.Option("--out", metavar="FILE.html", help="Page to write. Default: report.html in the folder.")
-]
+Out = Annotated[Path | None, declare("--out FILE.html", "Page to write. Default: report.html in the folder.")]
 
 
 def report(result: Result, out: Out = None) -> dict[str, Any]:

@@ -8,17 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.runtime.lazy import import_ahead
 from tactile_loc.store.files import lock_folder, require_writable, write_json
 from tactile_loc_cli import options
 from tactile_loc_cli.commands.build import build_model
-from tactile_loc_cli.console import format_count, make_progress, say, say_written
+from tactile_loc_cli.console import format_count, list_verdicts, make_progress, say, say_written
 from tactile_loc_cli.failures import NOT_AS_REQUIRED, Finding
-from tactile_loc_cli.options import RunOptions
-from tactile_loc_cli.verdict_counts import list_verdicts
+from tactile_loc_cli.options import RunOptions, declare
 
 if TYPE_CHECKING:
     from tactile_loc.core.sensing.scene import Scene
@@ -45,14 +42,10 @@ Given = Annotated[
 PriorFile = Annotated[
     Path | None,
     Path | None,
-    options.declare(
-        "--prior", "FILE.toml", "Prior knowledge of the pose: a TOML file in mm and degrees (docs/files.md)."
-    ),
+    declare("--prior FILE.toml", "Prior knowledge of the pose: a TOML file in mm and degrees (docs/files.md)."),
 ]
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of result.json, .npz and .png.")]
-Pictures = Annotated[
-    bool, typer.Option("--pictures", help="With a folder of touches: also draw a result.png for each.")
-]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of result.json, .npz and .png.")]
+Pictures = Annotated[bool, declare("--pictures", "With a folder of touches: also draw a result.png for each.")]
 
 
 def run(

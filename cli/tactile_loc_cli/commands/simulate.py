@@ -6,13 +6,11 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from tactile_loc.core.runtime.errors import ConfigError, OutputError
 from tactile_loc.store.files import require_writable, write_atomically, write_json
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say
-from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.options import RunOptions, declare
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,47 +28,51 @@ BATCH = 16  # images rendered at a time
 
 Lamps = Annotated[
     str | None,
-    options.declare(
-        "--optics", "NAME",
+    declare(
+        "--optics NAME",
         "Lights and gel of the images: gelslim, gelsight-mini or digit. Default: those of the sensor if it is one of "
         "these, else gelslim. Implies --images.",
     ),
-]  # fmt: skip
+]
 RecordingFile = Annotated[
     Path | None,
-    options.declare(
-        "--recording", "FILE.mcap",
+    declare(
+        "--recording FILE.mcap",
         "Write a ROS recording of a slide over the object instead of single touches: --count images, TF, and the true "
         "poses. The images are depths in metres; with --images, photos.",
     ),
-]  # fmt: skip
-Count = Annotated[int | None, options.declare("--count", "N", "Number of touches. Default: 10.", min=1, max=MOST)]
+]
+Count = Annotated[int | None, declare("--count N", "Number of touches. Default: 10.", min=1, max=MOST)]
 Together = Annotated[
     int | None,
-    options.declare(
-        "--together", "N",
+    declare(
+        "--together N",
         "Simulate N touches of one object at rest instead, and also write touches.toml: a list of the touches with "
         "their sensor poses.",
-        min=1, max=MOST,
+        min=1,
+        max=MOST,
     ),
-]  # fmt: skip
+]
 Opposed = Annotated[
     bool,
-    typer.Option(
-        "--opposed", help="With --together: pairs of touches by the two fingers of a gripper, which face each other."
-    ),
+    declare("--opposed", "With --together: pairs of touches by the two fingers of a gripper, which face each other."),
 ]
-Images = Annotated[
-    bool, typer.Option("--images", help="Also write camera images: NAME.png for each touch, and background.png.")
-]
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of the touches, poses.json and touches.png.")]
+Images = Annotated[bool, declare("--images", "Also write camera images: NAME.png for each touch, and background.png.")]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of the touches, poses.json and touches.png.")]
 Given = Annotated[
     RunOptions,
     options.Takes(
-        "object", "units", "symmetry", "press_depth", "noise", "sensor", "grid", "renderer", "option", "config", "seed",
+        *options.OBJECT,
+        "press_depth",
+        "noise",
+        "sensor",
+        "grid",
+        "renderer",
+        *options.SETTINGS,
+        "seed",
         press_depth="Depth of the simulated presses in mm. Default: the sensor's maximal depth.",
     ),
-]  # fmt: skip
+]
 
 
 def simulate(
@@ -197,8 +199,10 @@ def _warn_of_others(out: Path, names: list[str], listed: bool) -> None:
         logger.warning(
             "%s also holds %s of an older simulation, such as %s, without a pose in poses.json; remove these files, "
             "or choose another --out",
-            out, format_count(len(others), "touch"), others[0],
-        )  # fmt: skip
+            out,
+            format_count(len(others), "touch"),
+            others[0],
+        )
 
 
 def _find_optics(asked: str | None, sensor: str) -> Optics:

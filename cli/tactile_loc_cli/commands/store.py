@@ -17,7 +17,7 @@ from tactile_loc.core.runtime.errors import ConfigError, StoreError, advise_choi
 from tactile_loc.core.runtime.formatting import format_bytes
 from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc_cli.console import format_count, say, say_table
-from tactile_loc_cli.options import Store
+from tactile_loc_cli.options import Store, declare
 
 if TYPE_CHECKING:
     from tactile_loc.store.store import Entry, StageStore
@@ -64,9 +64,14 @@ def _write_group(name: str, rows: Sequence[dict[str, Any]]) -> Iterator[list[str
     for first, r in zip(chain([name], repeat("")), rows, strict=False):
         components = [made for part, made in r["made_from"].items() if part != "object"]
         yield [
-            first, r["stage"], r["digest"], format_bytes(r["bytes"]), write_age(r["age_s"]), r["state"],
+            first,
+            r["stage"],
+            r["digest"],
+            format_bytes(r["bytes"]),
+            write_age(r["age_s"]),
+            r["state"],
             ", ".join(components),
-        ]  # fmt: skip
+        ]
 
 
 @application.command()
@@ -83,8 +88,9 @@ def size(store: Store = None) -> dict[str, Any]:
         for stage, group in group_by_stage(entries).items()
     }
     if stages:
-        shown = [[stage, *map(str, (s["entries"], s["incomplete"])), format_bytes(s["bytes"])]
-                 for stage, s in stages.items()]  # fmt: skip
+        shown = [
+            [stage, *map(str, (s["entries"], s["incomplete"])), format_bytes(s["bytes"])] for stage, s in stages.items()
+        ]
         say_table([["stage", "entries", "incomplete", "size"], *shown], left=1)
     say(f"{_summarise(entries)} in {place.root}")
     return {"store": str(place.root), "stages": stages, "entries": len(entries), "bytes": _sum_bytes(entries)}
@@ -93,23 +99,22 @@ def size(store: Store = None) -> dict[str, Any]:
 @application.command()
 def prune(
     older_than: Annotated[
-        str | None,
-        typer.Option("--older-than", metavar="AGE", help="Remove entries older than this: 30d, 12h, 2w, ..."),
+        str | None, declare("--older-than AGE", "Remove entries older than this: 30d, 12h, 2w, ...")
     ] = None,
     stage: Annotated[
-        list[str] | None, typer.Option("--stage", metavar="NAME", help="Remove entries of this stage; may be repeated.")
+        list[str] | None, declare("--stage NAME", "Remove entries of this stage; may be repeated.")
     ] = None,
     incomplete: Annotated[
         bool,
-        typer.Option(
-            "--incomplete", help="Remove the remains of interrupted builds; these builds then start from the beginning."
+        declare(
+            "--incomplete", "Remove the remains of interrupted builds; these builds then start from the beginning."
         ),
     ] = False,
     keep_newest: Annotated[
         int | None, typer.Option("--keep-newest", min=1, metavar="N", help="Keep the newest N entries of each stage.")
     ] = None,
-    everything: Annotated[bool, typer.Option("--all", help="Remove all entries.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the entries without removing them.")] = False,
+    everything: Annotated[bool, declare("--all", "Remove all entries.")] = False,
+    dry_run: Annotated[bool, declare("--dry-run", "List the entries without removing them.")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
     store: Store = None,
 ) -> dict[str, Any]:
@@ -150,9 +155,15 @@ def _describe(place: StageStore, entry: Entry, origins: Origins) -> dict[str, An
     else:
         state = "being built" if _is_being_built(place, entry) else "interrupted"
     return {
-        "stage": entry.stage, "digest": entry.digest, "bytes": entry.nbytes, "created": entry.created.isoformat(),
-        "age_s": measure_age_s(entry), "complete": entry.complete, "state": state, "made_from": origins.find(entry),
-    }  # fmt: skip
+        "stage": entry.stage,
+        "digest": entry.digest,
+        "bytes": entry.nbytes,
+        "created": entry.created.isoformat(),
+        "age_s": measure_age_s(entry),
+        "complete": entry.complete,
+        "state": state,
+        "made_from": origins.find(entry),
+    }
 
 
 def _is_being_built(place: StageStore, entry: Entry) -> bool:

@@ -26,19 +26,19 @@ PlanFile = Annotated[
     Path | None, typer.Argument(metavar="PLAN.toml", help="The plan; options on the command line override it.")
 ]
 Objects = Annotated[
-    list[str] | None, declare("--object", "FILE|DEMO,...", "Mesh files or demo objects. Default: all demo objects.")
+    list[str] | None, declare("--object FILE|DEMO,...", "Mesh files or demo objects. Default: all demo objects.")
 ]
-Sensors = Annotated[list[str] | None, declare("--sensor", "NAME|PATH,...", "Sensors. Default: gelslim.")]
-Renderers = Annotated[list[str] | None, declare("--renderer", "NAME,...", "Renderers. Default: heightmap.")]
-Grids = Annotated[list[str] | None, declare("--grid", "NAME,...", "Grids that list their poses. Default: face.")]
-Encoders = Annotated[list[str] | None, declare("--encoder", "NAME,...", "Encoders. Default: pixel.")]
-Matchers = Annotated[list[str] | None, declare("--matcher", "NAME,...", "Matchers. Default: dense.")]
-Refiners = Annotated[list[str] | None, declare("--refiner", "NAME,...", "Refiners. Default: joint.")]
-Fusers = Annotated[list[str] | None, declare("--fuser", "NAME,...", "Fusers. Default: product.")]
+Sensors = Annotated[list[str] | None, declare("--sensor NAME|PATH,...", "Sensors. Default: gelslim.")]
+Renderers = Annotated[list[str] | None, declare("--renderer NAME,...", "Renderers. Default: heightmap.")]
+Grids = Annotated[list[str] | None, declare("--grid NAME,...", "Grids that list their poses. Default: face.")]
+Encoders = Annotated[list[str] | None, declare("--encoder NAME,...", "Encoders. Default: pixel.")]
+Matchers = Annotated[list[str] | None, declare("--matcher NAME,...", "Matchers. Default: dense.")]
+Refiners = Annotated[list[str] | None, declare("--refiner NAME,...", "Refiners. Default: joint.")]
+Fusers = Annotated[list[str] | None, declare("--fuser NAME,...", "Fusers. Default: product.")]
 Noises = Annotated[
-    list[str] | None, declare("--noise", "NAME,...", "Noises of the touches: none, mild, strong. Default: strong.")
+    list[str] | None, declare("--noise NAME,...", "Noises of the touches: none, mild, strong. Default: strong.")
 ]
-Seeds = Annotated[list[str] | None, declare("--seed", "N,...", "Seeds of the touches. Default: 0.")]
+Seeds = Annotated[list[str] | None, declare("--seed N,...", "Seeds of the touches. Default: 0.")]
 Options = Annotated[
     list[str] | None,
     set_option(
@@ -47,23 +47,21 @@ Options = Annotated[
     ),
 ]
 Count = Annotated[
-    int | None, declare("--count", "N", "Simulated touches for each combination. Default: 150.", min=1, max=100_000)
+    int | None, declare("--count N", "Simulated touches for each combination. Default: 150.", min=1, max=100_000)
 ]
 Line = Annotated[
     str,
     declare(
-        "--line",
-        "LINE",
-        "Error to show in sweep.md, pictures and comparisons: best-1, reg-1, ... (docs/evaluation.md).",
+        "--line LINE", "Error to show in sweep.md, pictures and comparisons: best-1, reg-1, ... (docs/evaluation.md)."
     ),
 ]
 DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="List the combinations and count the stages to build, without running them.")
+    bool, declare("--dry-run", "List the combinations and count the stages to build, without running them.")
 ]
 Compare = Annotated[
-    Path | None, declare("--compare", "FOLDER", "Compare --out with this older sweep; without a plan, only compare.")
+    Path | None, declare("--compare FOLDER", "Compare --out with this older sweep; without a plan, only compare.")
 ]
-Out = Annotated[Path, declare("--out", "FOLDER", "Folder of the rows, tables and pictures.")]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of the rows, tables and pictures.")]
 
 
 def sweep(
@@ -102,9 +100,19 @@ def sweep(
     from tactile_loc.store.store import StageStore
 
     values = {
-        "object": object, "sensor": sensor, "renderer": renderer, "grid": grid, "encoder": encoder, "matcher": matcher,
-        "refiner": refiner, "fuser": fuser, "noise": noise, "seed": seed, "count": count, "option": option,
-    }  # fmt: skip
+        "object": object,
+        "sensor": sensor,
+        "renderer": renderer,
+        "grid": grid,
+        "encoder": encoder,
+        "matcher": matcher,
+        "refiner": refiner,
+        "fuser": fuser,
+        "noise": noise,
+        "seed": seed,
+        "count": count,
+        "option": option,
+    }
     values = {key: value for key, value in values.items() if value is not None}
 
     require_line(line)
@@ -177,10 +185,15 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     stages = find_missing_stages(missing, objects, store)
     labels = name_choices(plan)
     rows = [
-        [one.object, *(labels[slot][i] for slot, i in zip(SLOTS, one.place[1:-2], strict=True)), one.config.touch.noise,
-         str(one.config.seed), "done" if one.key in done else "to do"]
+        [
+            one.object,
+            *(labels[slot][i] for slot, i in zip(SLOTS, one.place[1:-2], strict=True)),
+            one.config.touch.noise,
+            str(one.config.seed),
+            "done" if one.key in done else "to do",
+        ]
         for one in combinations
-    ]  # fmt: skip
+    ]
     header = ["object", *SLOTS, "noise", "seed", "state"]
     say_table([header, *rows], left=len(header))
     say()
@@ -202,9 +215,14 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
     say(f"{format_count(total, 'combination')}: {found.done} evaluated now, {total - found.done} before")
     say(f"stages built: {', '.join(f'{stage} {count}' for stage, count in found.built.items()) or 'none'}")
     return {
-        "out": str(out), "combinations": total, "evaluated": found.done, "failed": found.failed, "built": found.built,
-        "line": line, "written": say_written(files),
-    }  # fmt: skip
+        "out": str(out),
+        "combinations": total,
+        "evaluated": found.done,
+        "failed": found.failed,
+        "built": found.built,
+        "line": line,
+        "written": say_written(files),
+    }
 
 
 def _say_medians(found: Sweep, line: str) -> None:
@@ -242,6 +260,9 @@ def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
         say(f"{name}: {before} -> {after}")
     marks = {mark: comparison.count(mark) for mark in sorted({*table["change"]} - {""})}
     return {
-        "combinations": len(table), "line": line, "changes": marks, "versions": comparison.versions,
+        "combinations": len(table),
+        "line": line,
+        "changes": marks,
+        "versions": comparison.versions,
         "written": say_written(files),
-    }  # fmt: skip
+    }

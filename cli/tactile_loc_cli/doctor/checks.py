@@ -210,12 +210,24 @@ LIBRARIES = (
     _require("PIL", "pillow"),
     _require("jinja2", serves="reports"),
     _require("plotly", serves="reports"),
-    _require("open3d", "open3d-cpu", "open3d", trial="open3d",
-             serves="the renderer raycast, the refiner icp, pictures"),
-    Library("pyrender", ("pyrender",), "the renderer pyrender", "pip install pyrender", trial="egl",
-            repair=advise_install("libegl1 libgl1-mesa-dri")),
-    Library("torch", ("torch",), "the encoder moco, and sensors that read images", "pip install 'tactile-loc[learned]'",
-            trial="torch"),
+    _require(
+        "open3d", "open3d-cpu", "open3d", trial="open3d", serves="the renderer raycast, the refiner icp, pictures"
+    ),
+    Library(
+        "pyrender",
+        ("pyrender",),
+        "the renderer pyrender",
+        "pip install pyrender",
+        trial="egl",
+        repair=advise_install("libegl1 libgl1-mesa-dri"),
+    ),
+    Library(
+        "torch",
+        ("torch",),
+        "the encoder moco, and sensors that read images",
+        "pip install 'tactile-loc[learned]'",
+        trial="torch",
+    ),
     Library("safetensors", ("safetensors",), "learned models", "pip install 'tactile-loc[learned]'"),
     Library("kiss_icp", ("kiss-icp",), "the refiner kiss-icp", "pip install 'tactile-loc[kiss]'"),
     Library("small_gicp", ("small-gicp",), "the plugin tactile-loc-small-gicp", "pip install small-gicp"),
@@ -223,7 +235,7 @@ LIBRARIES = (
     Library("mcap", ("mcap",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
     Library("rosbags", ("rosbags",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
     Library("pyarrow", ("pyarrow",), "sweep tables as Parquet, libraries of parts", "pip install 'tactile-loc[sweep]'"),
-)  # fmt: skip
+)
 
 
 def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> list[Check]:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from tactile_loc_cli.console import say, say_table
 from tactile_loc_cli.failures import UNEXPECTED, Finding
-from tactile_loc_cli.options import Store
+from tactile_loc_cli.options import Store, declare
 
 if TYPE_CHECKING:
     from tactile_loc_cli.doctor.checks import Check
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
 def doctor(
     store: Store = None,
     compiling: Annotated[
-        bool, typer.Option("--compile", help="Also compile the code for locating, which speeds up the first run.")
+        bool, declare("--compile", "Also compile the code for locating, which speeds up the first run.")
     ] = False,
 ) -> dict[str, Any]:
     """Check the installation.
@@ -42,6 +40,8 @@ def doctor(
 
 
 def _report(checks: Sequence[Check]) -> None:
-    rows = [[str(check.state), check.name, f"{check.says}; {check.remedy}" if check.remedy else check.says]
-            for check in checks]  # fmt: skip
+    rows = [
+        [str(check.state), check.name, f"{check.says}; {check.remedy}" if check.remedy else check.says]
+        for check in checks
+    ]
     say_table(rows, left=3)

@@ -129,9 +129,14 @@ def compile_kernels() -> Facts:
 
 
 TRIALS: Mapping[str, Callable[..., Facts]] = {
-    "import": import_library, "egl": try_egl, "open3d": try_open3d, "numba": try_numba, "torch": try_torch,
-    "shared-libraries": load_shared_libraries, "kernels": compile_kernels,
-}  # fmt: skip
+    "import": import_library,
+    "egl": try_egl,
+    "open3d": try_open3d,
+    "numba": try_numba,
+    "torch": try_torch,
+    "shared-libraries": load_shared_libraries,
+    "kernels": compile_kernels,
+}
 
 
 def main() -> None:

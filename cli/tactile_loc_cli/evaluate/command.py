@@ -6,13 +6,11 @@ import re
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.evaluate.jobs import Asked
-from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.options import RunOptions, declare
 
 DEFAULT_OUT = Path("evaluation")
 
@@ -20,66 +18,62 @@ _PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
 Objects = Annotated[
     list[str] | None,
-    options.declare("--object", "FILE|DEMO", "Mesh file or demo object; may be repeated. Default: all demo objects."),
+    declare("--object FILE|DEMO", "Mesh file or demo object; may be repeated. Default: all demo objects."),
 ]
-Encoders = Annotated[
-    list[str] | None, options.declare("--encoder", "NAME", "Encoder; may be repeated. Default: pixel.")
-]
+Encoders = Annotated[list[str] | None, declare("--encoder NAME", "Encoder; may be repeated. Default: pixel.")]
 Count = Annotated[
     int | None,
-    options.declare(
-        "--count", "N",
+    declare(
+        "--count N",
         "Number of simulated examples for each object, noise and seed. Default: 20. With --paper: 100, or 150 single "
         "touches.",
-        min=1, max=100_000,
+        min=1,
+        max=100_000,
     ),
-]  # fmt: skip
+]
 Together = Annotated[
     str | None,
-    options.declare(
-        "--together", "RANGE",
+    declare(
+        "--together RANGE",
         "Locate from these numbers of touches together: 1..7, or 1,2,3 (at most 20). Default: 1..3; of your own "
         "touches, all. With --paper: single touches.",
     ),
-]  # fmt: skip
+]
 OwnTouches = Annotated[
     list[Path] | None,
-    options.declare(
-        "--touches", "FILE|FOLDER",
+    declare(
+        "--touches FILE|FOLDER",
         "Your own touches with known poses: a CSV table, the folder that `simulate` wrote, or a list of touches "
         "(.toml); may be repeated. Default: simulated touches.",
     ),
-]  # fmt: skip
+]
 Images = Annotated[
-    bool,
-    typer.Option(
-        "--images", help="Simulate images of the touches, for a sensor that was calibrated on simulated images."
-    ),
+    bool, declare("--images", "Simulate images of the touches, for a sensor that was calibrated on simulated images.")
 ]
 Noises = Annotated[
     list[options.Noise] | None,
-    options.declare(
-        "--noise",
-        "<none|mild|strong>",
-        "Noise of simulated touches; may be repeated. Default: none and strong.",
-    ),
+    declare("--noise <none|mild|strong>", "Noise of simulated touches; may be repeated. Default: none and strong."),
 ]
-Paper = Annotated[
-    bool, typer.Option("--paper", help="Follow the protocol of the paper, on a grid that lists its poses.")
-]
+Paper = Annotated[bool, declare("--paper", "Follow the protocol of the paper, on a grid that lists its poses.")]
 Seeds = Annotated[
-    list[int] | None,
-    options.declare("--seed", "N", "Seed of the simulated touches; may be repeated. Default: 0.", min=0),
+    list[int] | None, declare("--seed N", "Seed of the simulated touches; may be repeated. Default: 0.", min=0)
 ]
-Out = Annotated[Path, options.declare("--out", "FOLDER", "Folder of the results and pictures.")]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of the results and pictures.")]
+COMPARED = ("grid", "renderer", "matcher", "refiner", "fuser")
 Given = Annotated[
     RunOptions,
     options.Takes(
-        "units", "symmetry", "touch_unit", "touch_kind", "sensor", "zero", "grid", "renderer", "matcher", "refiner",
-        "fuser", "option", "config", "top",
+        "units",
+        "symmetry",
+        *options.TOUCH_FILES,
+        "sensor",
+        "zero",
+        *COMPARED,
+        *options.SETTINGS,
+        "top",
         grid="Poses to search. Default: whole. With --paper: face.",
     ),
-]  # fmt: skip
+]
 
 
 def evaluate(

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from tactile_loc_cli.console import say
+from tactile_loc_cli.options import declare
 
 Slot = Annotated[
     str,
@@ -22,9 +23,7 @@ Slot = Annotated[
 Name = Annotated[
     str, typer.Argument(metavar="NAME", help="Its name: lower case, words joined by hyphens.", show_default=False)
 ]
-Out = Annotated[
-    Path | None, typer.Option("--out", metavar="FOLDER", help="New folder to write. Default: tactile-loc-NAME.")
-]
+Out = Annotated[Path | None, declare("--out FOLDER", "New folder to write. Default: tactile-loc-NAME.")]
 
 
 def new_plugin(slot: Slot, name: Name, out: Out = None) -> dict[str, Any]:

@@ -26,20 +26,20 @@ if TYPE_CHECKING:
 
 DEFAULT_OUT = Path("benchmark")
 
-SuiteName = Annotated[str, declare("--suite", "NAME|FILE.toml", "The suite: quick, standard, full, or a file.")]
+SuiteName = Annotated[str, declare("--suite NAME|FILE.toml", "The suite: quick, standard, full, or a file.")]
 Sources = Annotated[
-    list[str] | None, declare("--source", "LABEL,...", "Only these sources of touches; --list shows the labels.")
+    list[str] | None, declare("--source LABEL,...", "Only these sources of touches; --list shows the labels.")
 ]
 Methods = Annotated[
-    list[str] | None, declare("--method", "LABEL,...", "Only these methods; also the name of a method of a plugin.")
+    list[str] | None, declare("--method LABEL,...", "Only these methods; also the name of a method of a plugin.")
 ]
-Data = Annotated[Path | None, declare("--data", "FOLDER", "Folder of recorded touches and further meshes.")]
-Examples = Annotated[int | None, declare("--examples", "N", "Examples of each object. Default: the suite's.", min=1)]
-List = Annotated[bool, declare("--list", None, "Only list the sources and methods of the suite, with their labels.")]
+Data = Annotated[Path | None, declare("--data FOLDER", "Folder of recorded touches and further meshes.")]
+Examples = Annotated[int | None, declare("--examples N", "Examples of each object. Default: the suite's.", min=1)]
+List = Annotated[bool, declare("--list", "Only list the sources and methods of the suite, with their labels.")]
 Report = Annotated[
-    bool, declare("--report", None, "Only write report.html again, from the other files in the folder of --out.")
+    bool, declare("--report", "Only write report.html again, from the other files in the folder of --out.")
 ]
-Out = Annotated[Path, declare("--out", "FOLDER", "Folder of the rows and tables.")]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of the rows and tables.")]
 
 
 def benchmark(
