@@ -174,12 +174,3 @@ def test_a_full_disk_is_an_expected_error(cli, broken):
     assert "cache.nbi" in done.stderr
     assert "space" in done.stderr
     assert "unexpected" not in done.stderr
-
-
-@pytest.mark.parametrize(("option", "name"), [("--seed", "seed"), ("--top", "top")])
-def test_numbers_below_zero_are_refused_in_one_line(cli, option, name):
-    done = cli("run", *PIN, option, -1)
-    assert done.exit_code == 2
-    (line,) = done.stderr.splitlines()
-    assert name in line
-    assert "-1" in line

@@ -18,8 +18,8 @@ HOST_HELP = (
     "Address at which the page is served; 0.0.0.0 serves it to other machines, which need the token in the printed "
     f"address. Default: {HOST}."
 )
-Port = Annotated[int, declare("--port", "N", PORT_HELP, min=0, max=65535, show_default=False)]
-Host = Annotated[str, declare("--host", "ADDRESS", HOST_HELP, show_default=False)]
+Port = Annotated[int, declare("--port N", PORT_HELP, min=0, max=65535, show_default=False)]
+Host = Annotated[str, declare("--host ADDRESS", HOST_HELP, show_default=False)]
 
 
 @contextmanager
