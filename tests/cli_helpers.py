@@ -45,6 +45,12 @@ def assert_one_error(stderr: str, code: int, *mentioned: str) -> None:
         assert words in lines[0]
 
 
+def succeed(result: Result) -> Result:
+    """Require exit code 0, and return the result."""
+    assert result.exit_code == 0, result.stderr
+    return result
+
+
 def assert_refused(result: Result, *mentioned: str) -> None:
     assert_one_error(result.stderr, result.exit_code, *mentioned)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from cli_helpers import Cli, assert_refused
+from cli_helpers import Cli, assert_refused, succeed
 from PIL import Image
 
 torch = pytest.importorskip("torch")
@@ -69,8 +69,7 @@ def add_m(found: list, true: list) -> float:
 @pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_a_sensor_calibrated_from_photos_locates_a_photo(cli, presses):
-    done = cli("calibrate", presses, *STEPS, "--out", "mine")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("calibrate", presses, *STEPS, "--out", "mine"))
     assert "3 of 16" in done.stdout
     assert re.search(r"angle.*\d", done.stdout)
     assert "--sensor mine --touch IMAGE" in done.stdout
@@ -84,17 +83,16 @@ def test_a_sensor_calibrated_from_photos_locates_a_photo(cli, presses):
         assert min(picture.size) > 300
 
     write_ell(Path("ell.stl"))
-    made = cli("simulate", *ELL, "--sensor", "mine", "--images", "--count", 8, "--press-depth", 0.8, "--out", "sim",
-               *GRID)  # fmt: skip
-    assert made.exit_code == 0, made.stderr
+    succeed(
+        cli("simulate", *ELL, "--sensor", "mine", "--images", "--count", 8, "--press-depth", 0.8, "--out", "sim", *GRID)
+    )
     record = json.loads(Path("sim/poses.json").read_text())["T_sensor_object"]
     contact = {}
     for name in record:
         with np.load(f"sim/{name}.npz") as touch:
             contact[name] = int((touch["depth"] < np.float32(touch["press_depth"])).sum())
     most = max(contact, key=contact.__getitem__)
-    run = cli("run", *ELL, "--sensor", "mine", "--touch", f"sim/{most}.png", "--out", "out", *GRID)
-    assert run.exit_code == 0, run.stderr
+    succeed(cli("run", *ELL, "--sensor", "mine", "--touch", f"sim/{most}.png", "--out", "out", *GRID))
     result = json.loads(Path("out/result.json").read_text())
     assert add_m(result["hypotheses"][0]["T_sensor_object"], record[most]) < 2e-3
     assert Path("out/result.png").is_file()
@@ -114,8 +112,7 @@ def test_image_size_sets_the_size_of_the_calibrated_images(cli, presses):
     larger = magnified(BALLS, 2)
     larger.write(Path("larger"))
     for words in ([presses, "--out", "mine"], ["larger", "--image-size", 80, 80, "--out", "reduced"]):
-        done = cli("calibrate", *words, *FEW)
-        assert done.exit_code == 0, done.stderr
+        succeed(cli("calibrate", *words, *FEW))
     sensors = [CalibratedSensor(CalibratedSensor.Options(path=name)) for name in ("mine", "reduced")]
     assert sensors[1].calibration.camera_px == (160, 160)
     assert is_same_camera(sensors[1].geometry, BALLS.geometry)
@@ -160,8 +157,7 @@ def test_a_public_set_needs_no_table(cli, presses):
     (presses / "presses.csv").unlink()
     (presses / "sensor.toml").unlink()
     words = ["--format", "circles", "--ball-radius", 3, "--mm-per-px", 0.2]
-    done = cli("calibrate", presses, *words, *FEW, "--out", "mine")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("calibrate", presses, *words, *FEW, "--out", "mine"))
     found = read_calibration(Path("mine")).geometry
     assert found.shape == (80, 80)
     assert found.view == pytest.approx(BALLS.geometry.view)
@@ -175,8 +171,7 @@ def test_a_public_set_needs_no_table(cli, presses):
 def test_the_median_of_the_presses_may_be_the_background(cli, presses):
     write_table(presses, BALLS.rows()[1:])
     assert_refused(cli("calibrate", presses), "background", "--background median")
-    done = cli("calibrate", presses, "--background", "median", *FEW, "--out", "mine")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("calibrate", presses, "--background", "median", *FEW, "--out", "mine"))
     assert np.abs(read_calibration(Path("mine")).background.astype(int) - BALLS.background).mean() < 2
 
 

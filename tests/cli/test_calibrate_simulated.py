@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import assert_refused
+from cli_helpers import assert_refused, succeed
 from PIL import Image
 
 from tactile_loc.io.sensor_files import read_sensor_file
@@ -68,8 +68,7 @@ def test_equal_seeds_give_equal_weights(calibrate):
 
 @pytest.mark.slow
 def test_a_built_in_sensor_also_reads_full_size_camera_images(cli):
-    done = cli("calibrate", "--simulated", "--presses", 8, *TINY["photometric"], "--out", "mine")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("calibrate", "--simulated", "--presses", 8, *TINY["photometric"], "--out", "mine"))
     sensor = CalibratedSensor(CalibratedSensor.Options(path="mine"))
     assert (sensor.geometry.shape, sensor.calibration.camera_px) == ((200, 200), (470, 470))
     native, small = render_background(GelSlim.native, OPTICS["gelslim"]), sensor.calibration.background

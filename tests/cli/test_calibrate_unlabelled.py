@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import Cli, assert_refused
+from cli_helpers import Cli, assert_refused, succeed
 from message_helpers import missing
 from PIL import Image
 
@@ -44,8 +44,7 @@ def table(folder: Path) -> list[dict[str, str]]:
 @pytest.mark.usefixtures("drawn_pictures")
 def test_unlabelled_photos_give_a_sensor_and_an_editable_table(cli, photos):
     write_image(photos / "two.png", np.maximum(BALLS.images[0], BALLS.images[0][::-1, ::-1]))
-    done = cli("calibrate", photos, *BALL, *SCALE, *FEW, "--out", "mine", "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("calibrate", photos, *BALL, *SCALE, *FEW, "--out", "mine", "--json"))
     labels = json.loads(done.stdout)["labels"]
     assert labels["used"] == 7
     assert list(labels["dropped"]) == ["two.png"]
@@ -59,8 +58,7 @@ def test_unlabelled_photos_give_a_sensor_and_an_editable_table(cli, photos):
 
     corrected = (photos / "presses.csv").read_text().replace(rows[3]["center_x_px"], "41.5")
     (photos / "presses.csv").write_text(corrected)
-    again = cli("calibrate", photos, *BALL, *SCALE, *FEW, "--out", "mine")
-    assert again.exit_code == 0, again.stderr
+    again = succeed(cli("calibrate", photos, *BALL, *SCALE, *FEW, "--out", "mine"))
     assert "presses.csv" in again.stdout
     assert (photos / "presses.csv").read_text() == corrected
 
@@ -80,10 +78,7 @@ def test_each_missing_input_is_one_sentence(cli, photos):
 @pytest.mark.parametrize(
     ("lengths", "said"),
     [
-        (
-            ["--ball-radius", 4000, "--mm-per-px", 0.2],
-            ("4000 mm", "--ball-radius"),
-        ),
+        (["--ball-radius", 4000, "--mm-per-px", 0.2], ("4000 mm", "--ball-radius")),
         (["--ball-radius", 0.4, "--mm-per-px", 0.2], ("ball", " mm")),
     ],
 )
@@ -98,8 +93,7 @@ def test_another_ball_is_refused_and_unlabelled_photos_are_reported(cli, photos)
     BALLS.write(photos)
     assert_refused(cli("calibrate", photos, "--ball-radius", 9, *FEW), "--ball-radius", "9", "table")
     write_image(photos / "new.png", BALLS.images[0])
-    done = cli("calibrate", photos, *BALL, *FEW, "--out", "mine")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("calibrate", photos, *BALL, *FEW, "--out", "mine"))
     assert not missing(done.stdout, "presses.csv", 1)
 
 

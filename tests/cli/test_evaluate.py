@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, assert_refused
+from cli_helpers import TINY, assert_refused, succeed
 from PIL import Image
 
 SEARCH = ["-o", "grid.directions=300", "-o", "temperature=0.05"]
@@ -19,8 +19,7 @@ FILES = {"recall.json", "recall.csv", "recall.md", "recall.png", "bop"}
 @pytest.mark.usefixtures("drawn_pictures")
 def test_results_of_noises_and_numbers_of_touches_are_written(cli, tmp_path):
     words = ["--object", "hook", "--count", 2, "--together", "1..2", "--noise", "none", "--noise", "mild"]
-    done = cli("evaluate", *words, "--seed", 2, "--seed", 3, *SEARCH)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("evaluate", *words, "--seed", 2, "--seed", 3, *SEARCH))
     out = tmp_path / "evaluation"
     assert {path.name for path in out.iterdir()} == FILES
     record = json.loads((out / "recall.json").read_text())
@@ -49,8 +48,7 @@ def test_touches_of_simulate_are_evaluated(cli, tmp_path):
     (tmp_path / "touches" / "touch-0001.npz").write_bytes(b"")
     words = ["--object", "pin", *TINY, "--refiner", "none"]
     assert_refused(cli("evaluate", "--touches", "touches", "--out", "out"), "--object")
-    done = cli("evaluate", *words, "--touches", "touches", "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("evaluate", *words, "--touches", "touches", "--out", "out"))
     assert "touch-0001.npz" in done.stdout
     record = json.loads((tmp_path / "out" / "recall.json").read_text())
     (run,) = record["runs"]
@@ -82,8 +80,7 @@ def test_a_table_of_own_touches_is_evaluated_together(cli, tmp_path):
         rows.append(f"{name}.npz,{','.join(map(str, numbers))},one")
     Path("touches/poses.csv").write_text("\n".join([header, *rows]))
     words = ["--object", "pin", *TINY, "--refiner", "none", "--touches", "touches/poses.csv", "--out", "out"]
-    done = cli("evaluate", *words)
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("evaluate", *words))
     record = json.loads((tmp_path / "out" / "recall.json").read_text())
     assert [result["touches"] for result in record["runs"][0]["results"]] == [1, 2]
     assert_refused(cli("evaluate", *words, "--together", "3"), "3 touches")
@@ -91,8 +88,7 @@ def test_a_table_of_own_touches_is_evaluated_together(cli, tmp_path):
 
 def test_json_has_the_summary_without_single_examples(cli, tmp_path):
     words = ["--object", "pin", *TINY, "--refiner", "none", "--count", 1, "--together", "1", "--noise", "none"]
-    done = cli("evaluate", *words, "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("evaluate", *words, "--json"))
     (run,) = json.loads(done.stdout)["runs"]
     assert run["results"][0]["examples"] == 1
     assert "each_example" not in run["results"][0]

@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
-from cli_helpers import FLAT_SENSOR, TINY, assert_refused, write_box
+from cli_helpers import FLAT_SENSOR, TINY, assert_refused, succeed, write_box
 from PIL import Image
 from tactile_loc_cli.evaluate.jobs import Asked, choose_options, list_jobs
 from tactile_loc_cli.evaluate.paper import choose_touches
@@ -22,8 +22,7 @@ FEW = ["--paper", "--count", 3, "--refiner", "none", *TINY]
 @pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_results_of_several_objects_are_written(cli, tmp_path):
-    done = cli("evaluate", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("evaluate", "--object", "pin", "--object", "head", "--seed", 2, *FEW))
     out = tmp_path / "evaluation"
     pictures = {"violins.png", "reliability.png", "gallery-pin-pixel.png", "gallery-head-pixel.png"}
     assert {path.name for path in out.iterdir()} == {"results.json", "results.csv", "results.md", *pictures}
@@ -55,10 +54,8 @@ def test_results_of_several_objects_are_written(cli, tmp_path):
 def test_images_are_evaluated_with_a_calibrated_sensor(cli, tmp_path):
     (tmp_path / "sensor.toml").write_text(FLAT_SENSOR)
     learn = ["--estimator", "photometric", "--presses", 20, "-o", "steps=200"]
-    made = cli("calibrate", "--simulated", "--sensor", "sensor.toml", *learn, "--out", "mine")
-    assert made.exit_code == 0, made.stderr
-    done = cli("evaluate", "--object", "pin", "--images", "--sensor", "mine", *FEW)
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("calibrate", "--simulated", "--sensor", "sensor.toml", *learn, "--out", "mine"))
+    succeed(cli("evaluate", "--object", "pin", "--images", "--sensor", "mine", *FEW))
     record = json.loads((tmp_path / "evaluation" / "results.json").read_text())
     assert record["protocol"] == {"version": 3, "touches": 3, "noise": "none", "seed": 0, "images": True}
     assert re.search(r"\b3 simulated touches\b.*images", (tmp_path / "evaluation" / "results.md").read_text())

@@ -6,7 +6,7 @@ import csv
 import json
 
 import pytest
-from cli_helpers import TINY, assert_refused
+from cli_helpers import TINY, assert_refused, succeed
 from PIL import Image
 from tactile_loc_cli.evaluate import paper
 from tactile_loc_cli.evaluate.command import parse_together
@@ -16,8 +16,7 @@ FEW = ["--paper", "--count", 3, "--refiner", "none", *TINY]
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_results_by_number_of_contacts_are_written(cli, tmp_path):
-    done = cli("evaluate", "--together", "1..3", "--object", "pin", "--object", "head", "--seed", 2, *FEW)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("evaluate", "--together", "1..3", "--object", "pin", "--object", "head", "--seed", 2, *FEW))
     out = tmp_path / "evaluation"
     assert {path.name for path in out.iterdir()} == {f"contacts.{kind}" for kind in ("json", "csv", "md", "png")}
     record = json.loads((out / "contacts.json").read_text())

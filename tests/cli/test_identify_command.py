@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from cli_helpers import assert_refused
+from cli_helpers import assert_refused, succeed
 from tactile_loc_cli.commands.identify import identify as command
 
 from tactile_loc.tasks.identify import LOCATED
@@ -27,14 +27,12 @@ def parts(cli) -> Path:
     trimesh.creation.cylinder(4, 40, sections=32).export("parts/rod.stl")
     Path("run.toml").write_text(SETTINGS)
     plate = ["--object", "parts/plate.stl", "--units", "mm", "--sensor", "gelsight-mini", "--config", "run.toml"]
-    made = cli("simulate", *plate, "--together", 3, "--seed", 3, "--out", "touches")
-    assert made.exit_code == 0, made.stderr
+    succeed(cli("simulate", *plate, "--together", 3, "--seed", 3, "--out", "touches"))
     return Path("parts")
 
 
 def test_identify_names_the_object_or_none(cli, parts):
-    done = cli(*IDENTIFY, "--touch", "touches/touches.toml", "--out", "out", "--report", "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli(*IDENTIFY, "--touch", "touches/touches.toml", "--out", "out", "--report", "--json"))
     said = json.loads(done.stdout)
     assert said["verdict"] == "certain"
     assert "<h1>certain: plate" in Path("out/report.html").read_text()
@@ -51,8 +49,7 @@ def test_a_required_verdict_decides_the_exit_code(cli, parts):
     wanted = [*IDENTIFY, "--touch", "touches/touch-0000.npz", "--require", "certain", "--out", "out", "--around", 20]
     assert cli(*wanted).exit_code == 3, "after one touch, an unknown object is too probable"
     wanted += ["--unknown", 0.02]
-    done = cli(*wanted)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli(*wanted))
     assert re.match(r"certain: plate \d", done.stdout)
     trimesh.creation.box((30, 20.3, 6)).export(parts / "same.stl")
     done = cli(*wanted)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rich
 import typer
-from cli_helpers import TINY
+from cli_helpers import TINY, succeed
 from tactile_loc_cli import console
 from tactile_loc_cli.command import make_command
 from tactile_loc_cli.main import app
@@ -28,8 +28,7 @@ def document(cli):
     """Run a command with --json, require success, and return its document."""
 
     def run(*words: object) -> dict:
-        done = cli(*words, "--json")
-        assert done.exit_code == 0, done.stderr
+        done = succeed(cli(*words, "--json"))
         return parsed(done.stdout)
 
     return run

@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from cli_helpers import FLAT_SENSOR, TINY, assert_refused
+from cli_helpers import FLAT_SENSOR, TINY, assert_refused, succeed
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
@@ -51,8 +51,7 @@ def few_touches_to_validate_with(monkeypatch):
 
 
 def table(cli, folder: str) -> str:
-    done = cli(*EVALUATE, "--store", folder, "--out", f"out-{folder}")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli(*EVALUATE, "--store", folder, "--out", f"out-{folder}"))
     return (Path(f"out-{folder}") / "results.csv").read_text()
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from cli_helpers import assert_refused
+from cli_helpers import assert_refused, succeed
 
 MADE = ["--units", "mm", "--symmetry", "none"]
 BUILD = ["library", "build", "parts", "--out", "lib", *MADE, "--directions", 100, "--workers", 1]
@@ -19,8 +19,7 @@ def library(cli) -> Path:
     Path("parts").mkdir()
     trimesh.creation.box((30, 20, 6)).export("parts/plate.stl")
     trimesh.creation.cylinder(4, 20, sections=16).export("parts/rod.stl")
-    done = cli(*BUILD)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli(*BUILD))
     assert done.stdout.startswith("2 parts built, 0 kept; 2 parts, ")
     return Path("lib")
 
@@ -44,8 +43,7 @@ def test_building_again_keeps_the_parts(cli, library):
 
 def test_a_part_is_added_with_the_librarys_options_and_removed(cli, library):
     trimesh.creation.box((12, 10, 8)).export("block.stl")
-    done = cli("library", "add", library, "block.stl", *MADE, "--workers", 1)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("library", "add", library, "block.stl", *MADE, "--workers", 1))
     assert done.stdout.startswith("1 part built, 0 kept; 3 parts, ")
     done = cli("library", "remove", library, "plate", "rod")
     assert done.stdout.startswith("2 parts removed; 1 part, ")

@@ -18,7 +18,7 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from cli_helpers import HANGS_S, TINY, assert_refused, command, hear_ctrl_c
+from cli_helpers import HANGS_S, TINY, assert_refused, command, hear_ctrl_c, succeed
 from message_helpers import missing
 
 from tactile_loc.io.streams import frame_sources
@@ -47,8 +47,7 @@ def records(path: Path | str) -> list[dict]:
 
 def test_every_frame_of_a_folder_gives_a_line(cli, touches):
     words = ["live", touches, *LOCATED, "--once", "--no-view", "--out", "found.jsonl"]
-    done = cli(*words)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli(*words))
     counts = re.findall(r"(\d+) (certain|ambiguous|poor fit|not found)", done.stdout)
     assert sum(int(n) for n, _ in counts) == 3
     assert ("no pose is certain" in done.stderr) == ("certain" not in dict(map(reversed, counts)))
@@ -189,8 +188,7 @@ def test_a_killed_process_leaves_whole_lines(going, touches, tmp_path):
 def test_a_rerun_file_is_written_beside_the_lines(cli, touches):
     pytest.importorskip("rerun", reason="rerun is not installed")
     words = ["live", touches, *LOCATED, "--once", "--no-view"]
-    done = cli(*words, "--rerun", "found.rrd")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli(*words, "--rerun", "found.rrd"))
     assert "found.rrd" in done.stdout
     verify = [sys.executable, "-m", "rerun", "rrd", "verify", "found.rrd"]
     assert subprocess.run(verify, timeout=HANGS_S).returncode == 0

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import assert_refused
+from cli_helpers import assert_refused, succeed
 
 from tactile_loc.core.geometry.lie import compute_pose_errors
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
@@ -25,8 +25,7 @@ def table(name: str, F: np.ndarray) -> str:
 @pytest.fixture
 def tables(cli) -> list[str]:
     """The TOML tables of eight touches of the pin, which is fixed at pose Y."""
-    simulated = cli("simulate", *PIN, "--count", 8, "--noise", "mild", "--out", "touches")
-    assert simulated.exit_code == 0, simulated.stderr
+    succeed(cli("simulate", *PIN, "--count", 8, "--noise", "mild", "--out", "touches"))
     poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
     return [table(name, Y @ invert(np.array(S)) @ invert(X)) for name, S in poses.items()]
 
@@ -41,8 +40,7 @@ def written(name: str, *tables: str) -> str:
 def test_a_mount_is_found_and_used(cli, tables):
     Path("run.toml").write_text("temperature = 1e-3\n")  # no temperature is fitted
     touches = written("touches.toml", *tables)
-    done = cli("mount", *PIN, "--config", "run.toml", "--touch", touches, "--out", "out", "--report", "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("mount", *PIN, "--config", "run.toml", "--touch", touches, "--out", "out", "--report", "--json"))
     said = json.loads(done.stdout)
     assert said["written"] == ["out/mount.toml", "out/mount.png", "out/report.html"]
     assert len(said["touch"]) == 8
@@ -50,8 +48,7 @@ def test_a_mount_is_found_and_used(cli, tables):
     assert np.linalg.norm(e[:3]) < 5e-4
     assert np.linalg.norm(e[3:]) < np.radians(1.5)
     used = written("used.toml", 'mount = "out/mount.toml"', *tables[:3])
-    done = cli("run", *PIN, "--config", "run.toml", "--touch", used, "--out", "run")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("run", *PIN, "--config", "run.toml", "--touch", used, "--out", "run"))
     result = json.loads(Path("run/result.json").read_text())
     assert result["errors"]["best_m"] < 1e-3
 

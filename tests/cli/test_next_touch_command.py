@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from cli_helpers import SURE, TINY, assert_refused, touch_depths
+from cli_helpers import SURE, TINY, assert_refused, succeed, touch_depths
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
@@ -38,8 +38,7 @@ def motion(x_mm: float, yaw_deg: float = 0.0) -> np.ndarray:
 @pytest.mark.usefixtures("drawn_pictures")
 def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
     poses = listed("poses.toml", motion(0), motion(4, 90), motion(500))
-    done = cli("next-touch", result, "--candidates", poses, "--out", "out", "--report", "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("next-touch", result, "--candidates", poses, "--out", "out", "--report", "--json"))
     said = json.loads(done.stdout)
     assert said["written"] == ["out/next_touch.json", "out/next_touch.png", "out/report.html"]
     assert json.loads(Path("out/next_touch.json").read_text()).items() <= said.items()
@@ -70,8 +69,7 @@ def test_bad_input_is_one_sentence(cli, result):
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_drawn_approaches_are_written_for_the_next_call(cli, result):
-    drawn = cli("next-touch", result, "--around", "20", "--seed", "3", "--out", "out", "--json")
-    assert drawn.exit_code == 0, drawn.stderr
+    drawn = succeed(cli("next-touch", result, "--around", "20", "--seed", "3", "--out", "out", "--json"))
     said = json.loads(drawn.stdout)
     assert said["written"] == ["out/next_touch.json", "out/next_touch.png", "out/approaches.toml"]
     assert len(said["ranked"]) == 20
@@ -93,8 +91,7 @@ def test_a_finger_that_hits_the_object_is_out_of_reach(cli, result):
     poses = listed("poses.toml", motion(0), motion(500))
     trimesh.creation.box((200, 200, 110)).export("finger.stl")  # 30 mm in front of the gel
     finger = ("--finger", "finger.stl", "--units", "mm")
-    done = cli("next-touch", result, "--candidates", poses, *finger, "--out", "out", "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("next-touch", result, "--candidates", poses, *finger, "--out", "out", "--json"))
     said = json.loads(done.stdout)
     assert [one["name"] for one in said["ranked"]] == ["approach 2"]  # half a metre away
     assert "finger" in said["out_of_reach"][0]["reason"]
@@ -110,20 +107,7 @@ def test_what_the_finger_must_not_hit_is_checked(cli, result):
     assert_refused(cli(*given, "--finger", "none.stl"), "none.stl")
     np.save("touch.npy", touch_depths())
     Path("run.toml").write_text("temperature = 0.05\n")
-    done = cli(
-        "run",
-        "--object",
-        "pin",
-        *TINY,
-        "--config",
-        "run.toml",
-        "--touch",
-        "touch.npy",
-        "--touch-unit",
-        "m",
-        "--out",
-        "alone",
-    )
-    assert done.exit_code == 0, done.stderr
+    touch = ["--config", "run.toml", "--touch", "touch.npy", "--touch-unit", "m"]
+    succeed(cli("run", "--object", "pin", *TINY, *touch, "--out", "alone"))
     alone = ("next-touch", "alone", "--candidates", poses, "--finger", "20x20x20mm")
     assert_refused(cli(*alone, "--floor", "0"), "T_base_sensor", "--floor")

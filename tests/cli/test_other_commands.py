@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import FLAT_SENSOR, SURE, TINY, Cli, assert_refused
+from cli_helpers import FLAT_SENSOR, SURE, TINY, Cli, assert_refused, succeed
 from PIL import Image
 
 from tactile_loc import __version__
@@ -68,8 +68,7 @@ def test_run_reuses_the_stages_of_build(cli, tmp_path):
     cli("simulate", *TINY, "--count", 1, "--out", "touches")
     cli("build", *TINY, "--store", store.root)
     built = {entry.path for entry in store.entries()}
-    done = cli("run", "--object", "hook", *TINY, "--touch", "touches/touch-0000.npz", "--store", store.root)
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("run", "--object", "hook", *TINY, "--touch", "touches/touch-0000.npz", "--store", store.root))
     assert {entry.path for entry in store.entries()} == built
 
 
@@ -96,8 +95,7 @@ def test_build_also_fits_the_sets_of_poses(cli, tmp_path):
 
 @pytest.mark.usefixtures("drawn_pictures")
 def test_simulate_writes_touches_that_run_reads(cli):
-    done = cli("simulate", "--count", 3, "--press-depth", 1.5, "--seed", 4, "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("simulate", "--count", 3, "--press-depth", 1.5, "--seed", 4, "--out", "out"))
     names = ["touch-0000", "touch-0001", "touch-0002"]
     assert sorted(p.name for p in Path("out").iterdir()) == ["poses.json", *(f"{n}.npz" for n in names), "touches.png"]
     record = json.loads(Path("out/poses.json").read_text())
@@ -107,15 +105,13 @@ def test_simulate_writes_touches_that_run_reads(cli):
             assert touch["T_sensor_object"].tolist() == record["T_sensor_object"][name]
     with Image.open("out/touches.png") as picture:
         picture.load()
-    run = cli("run", "--object", "hook", *TINY, *SURE, "--touch", "out/touch-0002.npz", "--out", "result")
-    assert run.exit_code == 0, run.stderr
+    succeed(cli("run", "--object", "hook", *TINY, *SURE, "--touch", "out/touch-0002.npz", "--out", "result"))
     result = json.loads(Path("result/result.json").read_text())
     assert result["touch"]["T_sensor_object"] == record["T_sensor_object"]["touch-0002"]
 
 
 def test_simulated_touches_of_an_object_at_rest_are_listed(cli):
-    done = cli("simulate", "--together", 2, "--opposed", "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("simulate", "--together", 2, "--opposed", "--out", "out"))
     record = json.loads(Path("out/poses.json").read_text())
     for touch in read_touch_list("out/touches.toml"):
         assert touch.T_base_sensor.tolist() == record["T_base_sensor"][touch.path.stem]
@@ -148,8 +144,7 @@ def test_touches_of_another_sensor_are_located_without_naming_it(cli, command):
     Path("flat.toml").write_text(FLAT_SENSOR)
     assert cli("simulate", *words, "--sensor", "flat.toml", "--together", 2, "--out", "out").exit_code == 0
     flag = "--touch" if command == "run" else "--touches"
-    done = cli(command, *words, "--refiner", "none", flag, "out/touches.toml", "--out", "result")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli(command, *words, "--refiner", "none", flag, "out/touches.toml", "--out", "result"))
 
 
 @pytest.mark.parametrize(
@@ -174,8 +169,7 @@ def test_simulate_with_noise_follows_the_seed(cli):
             assert np.array_equal(a["depth"], b["depth"])
             presses.add(float(a["press_depth"]))
     assert len(presses) == 3
-    run = cli("run", "--object", "hook", *TINY, "--touch", "a/touch-0000.npz", "--out", "result")
-    assert run.exit_code == 0, run.stderr
+    succeed(cli("run", "--object", "hook", *TINY, "--touch", "a/touch-0000.npz", "--out", "result"))
 
 
 def test_objects_lists_every_demo_object(cli):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, assert_refused
+from cli_helpers import TINY, assert_refused, succeed
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from message_helpers import missing
@@ -54,8 +54,7 @@ def decoded(path: Path | str, topic: str) -> list:
 
 
 def test_poses_are_near_the_truth_in_the_base_frame(cli, slide):
-    done = cli("replay", slide, "--image-topic", "/gel/image", *LOCATED, "--base-frame", "base", "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("replay", slide, "--image-topic", "/gel/image", *LOCATED, "--base-frame", "base", "--json"))
     said = json.loads(done.stdout)
     assert said["written"] == ["slide-poses.mcap", "slide-poses.csv", "slide-poses.json"]
     assert (said["frames"], said["no_contact"], said["refused"], said["resumed"]) == (IMAGES, 2, 0, 0)
@@ -89,8 +88,7 @@ def test_the_simulated_recording_contains_the_true_poses(slide):
 def test_a_rerun_file_contains_the_poses_in_the_base_frame(cli, slide):
     """The file stores the object's pose in the sensor frame, and the sensor's pose in the base frame."""
     pytest.importorskip("rerun", reason="rerun is not installed")
-    done = cli("replay", slide, *LOCATED, "--base-frame", "base", "--rerun", "slide.rrd", "--out", "out.mcap")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("replay", slide, *LOCATED, "--base-frame", "base", "--rerun", "slide.rrd", "--out", "out.mcap"))
     assert not missing(done.stdout, "out.json", "slide.rrd")
     found = read(Path("slide.rrd"))
     below = found["base/sensor/object"]["Transform3D:translation"]
@@ -105,8 +103,7 @@ def test_a_rerun_file_contains_the_poses_in_the_base_frame(cli, slide):
 
 
 def test_an_object_at_rest_gets_one_pose(cli, slide):
-    done = cli("replay", slide, *LOCATED, "--base-frame", "base", "--fuse", "--json", "--out", "rest.mcap")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("replay", slide, *LOCATED, "--base-frame", "base", "--fuse", "--json", "--out", "rest.mcap"))
     said = json.loads(done.stdout)
     rest = json.loads(Path("rest.json").read_text())["rest"]
     assert said["rest"] == rest
@@ -123,8 +120,7 @@ def test_an_object_at_rest_gets_one_pose(cli, slide):
 def test_a_track_and_a_required_verdict(cli, slide):
     """The exit code is 3 if no pose has the required verdict."""
     words = ["replay", slide, *LOCATED, "--base-frame", "base", "--track", "--out", "track.mcap", "--poses-only"]
-    done = cli(*words)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli(*words))
     frames = json.loads(Path("track.json").read_text())["poses"]
     certain = [frame for frame in frames if frame["verdict"] == "certain"]
     done = cli(*words, "--require", "certain")
@@ -155,8 +151,7 @@ def folder(slide, tmp_path) -> Path:
 @pytest.mark.slow
 def test_a_folder_with_sensor_poses_gives_the_same_pose_as_the_recording(cli, slide, folder):
     words = [*LOCATED, "--fuse", "--json"]
-    done = cli("replay", folder, "--poses", folder.parent / "poses.csv", *words)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("replay", folder, "--poses", folder.parent / "poses.csv", *words))
     said = json.loads(done.stdout)
     assert said["written"] == ["images-poses.csv", "images-poses.json"]
     recorded = json.loads(cli("replay", slide, *words, "--base-frame", "base").stdout)
@@ -164,8 +159,7 @@ def test_a_folder_with_sensor_poses_gives_the_same_pose_as_the_recording(cli, sl
     assert said["rest"]["verdict"] == recorded["rest"]["verdict"]
     rows = list(csv.DictReader(Path("images-poses.csv").read_text().splitlines()))
     assert [row["name"] for row in rows] == [f"{number:02d}.npz" for number in range(IMAGES)]
-    done = cli("replay", folder, "--poses", folder.parent / "poses.csv", *LOCATED, "--track", "--out", "t.csv")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("replay", folder, "--poses", folder.parent / "poses.csv", *LOCATED, "--track", "--out", "t.csv"))
     assert len(json.loads(Path("t.json").read_text())["poses"]) == IMAGES
 
 
@@ -208,8 +202,7 @@ def test_an_interrupted_replay_is_resumed(cli, slide, monkeypatch):
         done = cli(*words)
     assert (done.exit_code, Path("out.mcap").exists()) == (130, False)
     assert "resume" in done.stderr
-    done = cli(*words)
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli(*words))
     assert not missing(done.stdout, 6)
     assert len(decoded("out.mcap", "/object/pose")) == IMAGES - 2
     assert decoded("out.mcap", "/gel/image") == []
@@ -218,8 +211,7 @@ def test_an_interrupted_replay_is_resumed(cli, slide, monkeypatch):
 
 def test_the_existing_part_of_a_truncated_recording_is_located(cli, slide):
     Path("cut.mcap").write_bytes(slide.read_bytes()[: slide.stat().st_size // 2])
-    done = cli("replay", "cut.mcap", *LOCATED, "--frame", "sensor")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("replay", "cut.mcap", *LOCATED, "--frame", "sensor"))
     assert re.search(r"^warning: .*\bcut\.mcap\b", done.stderr, re.MULTILINE)
     poses = decoded("cut-poses.mcap", "/object/pose")
     assert 0 < len(poses) < IMAGES - 2

@@ -8,18 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, assert_refused
+from cli_helpers import TINY, assert_refused, succeed
 from message_helpers import missing
 
 PIN = ["--object", "pin", *TINY]
 
 
 def test_a_run_writes_the_files_for_a_report(cli):
-    done = cli("run", *PIN, "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("run", *PIN, "--out", "out"))
     assert sorted(path.name for path in Path("out").iterdir()) == ["result.json", "result.npz", "result.png"]
-    done = cli("report", "out")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("report", "out"))
     assert "out/report.html" in done.stdout
     page = Path("out/report.html").read_text(encoding="utf-8")
     assert not missing(page, "pin", "gelslim")
@@ -28,8 +26,7 @@ def test_a_run_writes_the_files_for_a_report(cli):
 
 @pytest.mark.slow
 def test_the_report_option_writes_the_same_report(cli):
-    done = cli("run", *PIN, "--report", "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("run", *PIN, "--report", "--out", "out"))
     assert "out/report.html" in done.stdout
     assert cli("report", "out/result.json", "--out", "pages/again.html").exit_code == 0
     assert Path("pages/again.html").read_text() == Path("out/report.html").read_text()
@@ -42,8 +39,7 @@ def test_the_report_contains_all_touches(cli):
     for name, T in poses.items():
         text += f'[[touch]]\npath = "touches/{name}.npz"\nT_base_sensor = {np.linalg.inv(T).tolist()}\n'
     Path("touches.toml").write_text(text)
-    done = cli("run", *PIN, "--touch", "touches.toml", "--report", "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("run", *PIN, "--touch", "touches.toml", "--report", "--out", "out"))
     page = Path("out/report.html").read_text()
     assert not missing(page, "2 touches")
     assert all(re.search(rf"observed[^<]*\b{name}\b", page) for name in poses)
@@ -51,23 +47,17 @@ def test_the_report_contains_all_touches(cli):
 
 @pytest.mark.slow
 def test_evaluations_have_reports(cli):
-    done = cli("evaluate", "--paper", *PIN, "--count", 3, "--out", "evaluation")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("evaluate", "--paper", *PIN, "--count", 3, "--out", "evaluation"))
     assert cli("report", "evaluation").exit_code == 0
     assert not missing(Path("evaluation/report.html").read_text(), "3 simulated touches")
-    done = cli("evaluate", "--paper", *PIN, "--count", 3, "--together", "1,2", "--out", "contacts")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("evaluate", "--paper", *PIN, "--count", 3, "--together", "1,2", "--out", "contacts"))
     assert cli("report", "contacts").exit_code == 0
     assert "2 contacts" in Path("contacts/report.html").read_text()
 
 
 @pytest.mark.parametrize(
     ("files", "says"),
-    [
-        ([], "contacts.json"),
-        (["result.json"], "JSON"),
-        (["result.json", "results.json"], "results.json"),
-    ],
+    [([], "contacts.json"), (["result.json"], "JSON"), (["result.json", "results.json"], "results.json")],
 )
 def test_a_folder_without_a_result_is_one_sentence(cli, files, says):
     Path("out").mkdir()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, hear_ctrl_c
+from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, hear_ctrl_c, succeed
 
 # `tactile-loc build` with small shards; it prints a line and waits at the point that its first argument names
 BUILD = """
@@ -111,8 +111,7 @@ def test_a_truncated_artifact_is_rebuilt(cli, tmp_path):
     for bank in store.glob("bank/*/bank.npz"):
         bank.chmod(0o644)
         bank.write_bytes(bank.read_bytes()[:100])
-    again = cli("run", *TINY, "--store", store, "--out", "second")
-    assert again.exit_code == 0, again.stderr
+    again = succeed(cli("run", *TINY, "--store", store, "--out", "second"))
     assert again.stderr.startswith("warning: ")
     first, second = (json.loads(Path(out, "result.json").read_text())["hypotheses"] for out in ("first", "second"))
     assert [h["probability"] for h in first] == [h["probability"] for h in second]

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cli_helpers import SURE, TINY, assert_refused, touch_depths, write_box
+from cli_helpers import SURE, TINY, assert_refused, succeed, touch_depths, write_box
 from PIL import Image
 from rerun_helpers import read
 from tactile_loc_cli import results
@@ -166,8 +166,7 @@ def test_the_output_names_the_searched_side_of_the_object(cli, result):
     (line,) = [line for line in result["stdout"].splitlines() if line.startswith("searched: the object's side")]
     shown = [float(word) for word in re.search(r"\((.*?)\)", line)[1].split(",")]
     assert shown == pytest.approx(find_resting_normal(mesh.vertices_m, mesh.centroid_m), abs=0.006)
-    chosen = cli("run", "--object", "pin", *TINY, *SURE, "-o", "grid.face=+y", "--out", "chosen")
-    assert chosen.exit_code == 0, chosen.stderr
+    chosen = succeed(cli("run", "--object", "pin", *TINY, *SURE, "-o", "grid.face=+y", "--out", "chosen"))
     assert not [line for line in chosen.stdout.splitlines() if line.startswith("searched: the object's side")]
 
 
@@ -198,8 +197,7 @@ def test_the_option_flag_also_sets_plain_settings(cli, tmp_path):
     assert done.exit_code != 0
     assert "drawing" in done.stderr
     assert "pressed" in done.stderr
-    done = cli("run", "--object", "pin", *TINY, *SURE, "-o", "drawing=paper", "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("run", "--object", "pin", *TINY, *SURE, "-o", "drawing=paper", "--out", "out"))
     assert json.loads((tmp_path / "out/result.json").read_text())["configuration"]["drawing"] == "paper"
 
 
@@ -217,8 +215,7 @@ def test_the_configuration_in_the_result_gives_the_same_result(cli, result, tmp_
     assert configuration["grid"]["options"]["face"] == "auto"  # the default is written explicitly
     lines = [f"{key} = {as_toml(value)}" for key, value in configuration.items() if value is not None]
     Path("again.toml").write_text("\n".join(lines))
-    done = cli("run", "--config", "again.toml", "--out", "again")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("run", "--config", "again.toml", "--out", "again"))
     again = json.loads((tmp_path / "again/result.json").read_text())
     for key in ("configuration", "object", "touch", "grid_poses", "normalised_entropy"):
         assert again[key] == result[key]
@@ -242,9 +239,8 @@ def test_the_command_line_overrides_the_file(cli, tmp_path):
         'top = 7\n[object]\npath = "hook"\n[grid]\nname = "face"\nspacing_mm = 9\nmin_contact_percent = 3\n'
         '[refiner]\nname = "icp"\nmax_iterations = 5\n'
     )
-    done = cli("run", "--config", "run.toml", "--object", "pin", "--refiner", "none", "--top", 2, *TINY, *SURE, "--out",
-               "out")  # fmt: skip
-    assert done.exit_code == 0, done.stderr
+    given = ["--object", "pin", "--refiner", "none", "--top", 2]
+    succeed(cli("run", "--config", "run.toml", *given, *TINY, *SURE, "--out", "out"))
     result = json.loads((tmp_path / "out/result.json").read_text())
     configuration = result["configuration"]
     assert configuration["object"]["path"] == "pin"
@@ -257,12 +253,9 @@ def test_the_command_line_overrides_the_file(cli, tmp_path):
 def test_run_reads_touch_mesh_and_sensor_files(cli, tmp_path):
     write_box(Path("box.obj"))
     Path("sensor.toml").write_text((ROOT / "examples/my_sensor.toml").read_text())
-    simulated = cli("simulate", "--object", "box.obj", "--units", "mm", "--sensor", "sensor.toml", "--count", 1,
-                    "--out", "touches", *TINY)  # fmt: skip
-    assert simulated.exit_code == 0, simulated.stderr
-    done = cli("run", "--object", "box.obj", "--units", "mm", "--sensor", "sensor.toml", "--touch",
-               "touches/touch-0000.npz", "--press-depth", 1, *TINY)  # fmt: skip
-    assert done.exit_code == 0, done.stderr
+    box = ["--object", "box.obj", "--units", "mm", "--sensor", "sensor.toml"]
+    succeed(cli("simulate", *box, "--count", 1, "--out", "touches", *TINY))
+    done = succeed(cli("run", *box, "--touch", "touches/touch-0000.npz", "--press-depth", 1, *TINY))
     result = json.loads((tmp_path / "tactile-loc-result/result.json").read_text())
     assert result["touch"]["path"] == "touches/touch-0000.npz"
     assert result["touch"]["press_depth_m"] == pytest.approx(1e-3)
@@ -273,8 +266,7 @@ def test_run_reads_touch_mesh_and_sensor_files(cli, tmp_path):
 
 def test_no_error_is_reported_without_the_true_pose(cli, tmp_path):
     np.save("touch.npy", touch_depths() * 1e3)
-    done = cli("run", "--object", "hook", *TINY, "--touch", "touch.npy", "--touch-unit", "mm", "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("run", "--object", "hook", *TINY, "--touch", "touch.npy", "--touch-unit", "mm", "--out", "out"))
     result = json.loads((tmp_path / "out/result.json").read_text())
     assert result["errors"] is None
     assert "error" not in done.stdout
@@ -286,9 +278,8 @@ def test_all_kinds_of_one_touch_are_located_alike(cli, tmp_path):
     found = []
     for kind, values in maps.items():
         np.save("touch.npy", values)
-        done = cli("run", *TINY, "--object", "hook", "--touch", "touch.npy", "--touch-unit", "mm", "--touch-kind", kind,
-                   "--press-depth", 1.5, "--out", kind)  # fmt: skip
-        assert done.exit_code == 0, done.stderr
+        touch = ["--object", "hook", "--touch", "touch.npy", "--touch-unit", "mm", "--touch-kind", kind]
+        succeed(cli("run", *TINY, *touch, "--press-depth", 1.5, "--out", kind))
         result = json.loads((tmp_path / kind / "result.json").read_text())
         assert result["configuration"]["touch"]["kind"] == kind
         found.append([one["T_sensor_object"] for one in result["hypotheses"]])
@@ -298,16 +289,14 @@ def test_all_kinds_of_one_touch_are_located_alike(cli, tmp_path):
 
 def test_guesses_are_shown_as_one_line_warnings(cli):
     write_box(Path("box.obj"), faces=10)
-    done = cli("run", *TINY, *SURE, "--object", "box.obj")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("run", *TINY, *SURE, "--object", "box.obj"))
     assert all(line.startswith("warning: ") for line in done.stderr.splitlines())
     assert any("watertight" in line for line in done.stderr.splitlines())
     assert any(re.search(r"\bmm\b", line) for line in done.stderr.splitlines())
 
 
 def test_the_result_records_the_noise_of_a_simulated_touch(cli, result, tmp_path):
-    done = cli("run", *TINY, "--noise", "mild", "--out", "noisy")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("run", *TINY, "--noise", "mild", "--out", "noisy"))
     noisy = json.loads((tmp_path / "noisy/result.json").read_text())
     assert (result["touch"]["noise"], noisy["touch"]["noise"]) == ("none", "mild")
     assert noisy["configuration"]["touch"]["noise"] == "mild"
@@ -334,8 +323,7 @@ def test_an_unknown_noise_level_is_refused(cli):
 def test_the_result_lists_the_poses_of_the_set(cli, tmp_path):
     assert cli("simulate", *TINY, "--count", 1, "--out", "touches").exit_code == 0
     touch = ["--object", "hook", "--touch", "touches/touch-0000.npz"]
-    done = cli("run", *TINY, *touch, "--top", 1, "--coverage", 0.9, "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("run", *TINY, *touch, "--top", 1, "--coverage", 0.9, "--out", "out"))
     result = json.loads((tmp_path / "out/result.json").read_text())
     found = result["pose_set"]
     assert found["coverage"] == 0.9
@@ -346,8 +334,9 @@ def test_the_result_lists_the_poses_of_the_set(cli, tmp_path):
 
 def test_a_rerun_file_is_written_beside_the_result(cli):
     pytest.importorskip("rerun", reason="rerun is not installed")
-    done = cli("run", "--object", "pin", *TINY, "-o", "temperature=0.001", "--out", "out", "--rerun", "out/result.rrd")
-    assert done.exit_code == 0, done.stderr
+    succeed(
+        cli("run", "--object", "pin", *TINY, "-o", "temperature=0.001", "--out", "out", "--rerun", "out/result.rrd")
+    )
     best = json.loads(Path("out/result.json").read_text())["hypotheses"][0]["T_sensor_object"]
     (place,) = read(Path("out/result.rrd"))["base/sensor/object"]["Transform3D:translation"][0]
     np.testing.assert_allclose(place, np.array(best)[:3, 3], atol=1e-6)
@@ -360,10 +349,9 @@ def test_names_that_are_not_unicode_or_not_printable_are_kept_apart_from_their_t
     mesh, touch = write_box(tmp_path / f"{name}.obj"), tmp_path / f"{name}.npz"
     np.savez(touch, depth=touch_depths(), unit="m")
     shown = r"-Geh\xe4use[red]\n$x$"
-    done = cli(
-        "run", f"--object={mesh}", "--units", "mm", f"--touch={touch}", f"--out={name}", *TINY, *SURE, "--report"
+    done = succeed(
+        cli("run", f"--object={mesh}", "--units", "mm", f"--touch={touch}", f"--out={name}", *TINY, *SURE, "--report")
     )
-    assert done.exit_code == 0, done.stderr
     assert shown in done.stdout
     found = Localization.load(Path(name))
     assert (found.object.name, found.touch.name) == (shown, f"{shown}.npz")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, assert_refused, touch_depths
+from cli_helpers import TINY, assert_refused, succeed, touch_depths
 from message_helpers import missing
 
 FOLDER = Path("touches")
@@ -72,8 +72,7 @@ def test_poorly_explained_touches_are_named(cli, folder, monkeypatch):
 
 def test_photos_beside_contact_shapes_are_reported(cli, folder):
     (folder / "touch-0001.png").write_bytes(b"")
-    done = cli("run", *PIN, "--touch", folder, "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("run", *PIN, "--touch", folder, "--out", "out"))
     assert "--touch 'touches/touch-*.png'" in done.stderr
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import TINY, assert_refused
+from cli_helpers import TINY, assert_refused, succeed
 from message_helpers import missing
 
 OBJECT = ["--object", "pin", *TINY]
@@ -50,11 +50,9 @@ def prior(kind: str = "gaussian", **keys: object) -> Path:
 @pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_several_touches_are_fused(cli, listed):
-    done = cli("run", *OBJECT, "--touch", "touches.toml", "--out", "both")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("run", *OBJECT, "--touch", "touches.toml", "--out", "both"))
     first = next(iter(listed))
-    alone = cli("run", *OBJECT, "--touch", f"touches/{first}.npz", "--out", "one")
-    assert alone.exit_code == 0, alone.stderr
+    succeed(cli("run", *OBJECT, "--touch", f"touches/{first}.npz", "--out", "one"))
     both, one = (json.loads(Path(out, "result.json").read_text()) for out in ("both", "one"))
     assert [t["name"] for t in both["other_touches"]] == [f"{name}.npz" for name in list(listed)[1:]]
     assert both["other_touches"][0]["T_base_sensor"] is not None
@@ -76,8 +74,7 @@ def test_touches_of_different_sensors_are_fused(cli, listed):
     with Path("touches.toml").open("a") as file:
         file.write('[[touch]]\npath = "small/touch-0000.npz"\nsensor = "small.toml"\n')
         file.write(f"T_base_sensor = {np.linalg.inv(T).tolist()}\n")
-    done = cli("run", *OBJECT, "--touch", "touches.toml", "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli("run", *OBJECT, "--touch", "touches.toml", "--out", "out"))
     sizes = [t["image_px"] for t in json.loads(Path("out/result.json").read_text())["other_touches"]]
     assert sizes == [[200, 200], [120, 120]]
 
@@ -86,8 +83,7 @@ def test_one_touch_with_a_sensor_pose_is_located_in_the_base_frame(cli, listed):
     """The list has one touch. The table, and the report's next touch, are in the frame of T_base_sensor."""
     first = Path("touches.toml").read_text().split("[[touch]]")[1]
     Path("one.toml").write_text(f"[[touch]]{first}")
-    done = cli("run", *OBJECT, "--touch", "one.toml", "--out", "out")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("run", *OBJECT, "--touch", "one.toml", "--out", "out"))
     assert not missing(done.stdout, "base frame", "about the base's x, y and z axes")
     best = json.loads(Path("out/result.json").read_text())["hypotheses"][0]
     x_mm = f"{1e3 * best['T_base_object'][0][3]:z.2f}"
@@ -102,8 +98,7 @@ def test_a_prior_reduces_the_entropy_of_an_ambiguous_touch(cli, listed):
     file = prior(T=T.tolist(), translation_std_mm=2, rotation_std_deg=5)
     entropies = []
     for more in ([], ["--prior", file]):
-        done = cli("run", *OBJECT, "--touch", f"touches/{name}.npz", *more, "--out", "out")
-        assert done.exit_code == 0, done.stderr
+        succeed(cli("run", *OBJECT, "--touch", f"touches/{name}.npz", *more, "--out", "out"))
         result = json.loads(Path("out/result.json").read_text())
         entropies.append(result["entropy_nats"])
     assert entropies[1] < entropies[0]
@@ -129,8 +124,7 @@ def test_an_outlier_is_named_and_can_be_dropped(cli, one_moved):
     # no temperature is fitted, and eight hypotheses are enough for an easy example
     Path("run.toml").write_text("temperature = 1e-3\nhypotheses.refined_together = 8\n")
     several = ["run", *OBJECT, "--config", "run.toml", "--touch", "touches.toml", "--report"]
-    done = cli(*several, "--out", "all")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli(*several, "--out", "all"))
     assert not missing(done.stderr, "3 of 4", one_moved, "--drop-outliers")
     result = json.loads(Path("all/result.json").read_text())
     touches = [result["touch"], *result["other_touches"]]
@@ -141,8 +135,7 @@ def test_an_outlier_is_named_and_can_be_dropped(cli, one_moved):
     assert len(re.findall(r"contradicts[^<]*</strong>", page)) == 1
     assert not missing(page, "3 of 4", one_moved)
 
-    dropped = cli(*several, "--drop-outliers", "--out", "dropped")
-    assert dropped.exit_code == 0, dropped.stderr
+    dropped = succeed(cli(*several, "--drop-outliers", "--out", "dropped"))
     assert one_moved in dropped.stderr
     result = json.loads(Path("dropped/result.json").read_text())
     assert [touch["name"] for touch in result["left_out"]] == [one_moved]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import assert_refused, write_box
+from cli_helpers import assert_refused, succeed, write_box
 from message_helpers import missing
 from PIL import Image
 
@@ -30,9 +30,7 @@ def image(path: str) -> np.ndarray:
 
 
 def simulate(cli, *words: object):
-    done = cli("simulate", "--count", 2, "--seed", 4, *words)
-    assert done.exit_code == 0, done.stderr
-    return done
+    return succeed(cli("simulate", "--count", 2, "--seed", 4, *words))
 
 
 def test_every_touch_has_an_image_beside_the_background(cli):

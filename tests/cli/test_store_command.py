@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import assert_refused
+from cli_helpers import assert_refused, succeed
 from filelock import FileLock
 from message_helpers import missing, naming
 from tactile_loc_cli.commands.store import parse_age, write_age
@@ -75,8 +75,7 @@ def ask(cli, place) -> Callable:
 def test_a_missing_default_store_counts_as_empty(cli, tmp_path, monkeypatch):
     monkeypatch.setenv("TACTILE_LOC_STORE", str(tmp_path / "nowhere"))
     for words in (["list"], ["size"], ["prune", "--all", "--yes"]):
-        done = cli("store", *words)
-        assert done.exit_code == 0, done.stderr
+        done = succeed(cli("store", *words))
         assert "0 entries, 0 B" in done.stdout
     assert not (tmp_path / "nowhere").exists()
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cli_helpers import FLAT_SENSOR, assert_refused, command, hear_ctrl_c, write_box
+from cli_helpers import FLAT_SENSOR, assert_refused, command, hear_ctrl_c, succeed, write_box
 from message_helpers import missing
 
 psutil = pytest.importorskip("psutil")  # a dependency of distributed
@@ -43,22 +43,19 @@ def plan(tmp_path: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_a_plan_is_evaluated_once_and_written(cli, plan, tmp_path):
-    done = cli("sweep", "sweep.toml", "--workers", 1, "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("sweep", "sweep.toml", "--workers", 1, "--json"))
     report = json.loads(done.stdout)
     assert (report["combinations"], report["evaluated"], report["failed"]) == (4, 4, 0)
     assert report["built"]["evaluation"] == 4
     assert {path.name for path in (tmp_path / "sweep").iterdir()} == FILES
-    again = cli("sweep", "sweep.toml", "--line", "reg-1")
-    assert again.exit_code == 0, again.stderr
+    again = succeed(cli("sweep", "sweep.toml", "--line", "reg-1"))
     lines = again.stdout.splitlines()
     assert not missing(lines[0], "reg-1", "mm", "strong")
     assert lines[1].split() == ["components", "pin", "head"]
     assert any(re.match(r"4 combinations\b.*\b0\b.*\b4\b", line) for line in lines)
     for name in FILES - {"rows", "workers.log"}:
         assert name in lines[-1]
-    compared = cli("sweep", "--compare", "sweep", "--out", "sweep")
-    assert compared.exit_code == 0, compared.stderr
+    compared = succeed(cli("sweep", "--compare", "sweep", "--out", "sweep"))
     assert not missing(compared.stdout, "4 combinations", "none", "10 %")
     assert "| pin | icp |" in (tmp_path / "sweep" / "compare.md").read_text()
 
@@ -76,8 +73,7 @@ def test_the_command_line_overrides_the_plan(cli, plan):
         "-o",
         "encoder.cells=9,12",
     ]
-    done = cli("sweep", "sweep.toml", *words, "--noise", "none,mild", "--dry-run", "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("sweep", "sweep.toml", *words, "--noise", "none,mild", "--dry-run", "--json"))
     report = json.loads(done.stdout)
     assert (len(report["combinations"]), report["count"]) == (3 * 2 * 2 * 2, 2)
     assert report["combinations"][0] == {
@@ -88,8 +84,7 @@ def test_the_command_line_overrides_the_plan(cli, plan):
 
 
 def test_a_dry_run_lists_combinations_without_running_them(cli, plan, tmp_path):
-    done = cli("sweep", "sweep.toml", "--dry-run", "--store", "fresh")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("sweep", "sweep.toml", "--dry-run", "--store", "fresh"))
     lines = done.stdout.splitlines()
     assert lines[0].split() == [
         "object", "sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser", "noise", "seed",
@@ -117,8 +112,7 @@ def test_a_dry_run_lists_combinations_without_running_them(cli, plan, tmp_path):
 
 def test_units_apply_to_mesh_files(cli, plan, tmp_path):
     write_box(tmp_path / "part.obj")
-    done = cli("sweep", "sweep.toml", "--object", "part.obj,pin", "--units", "mm", "--dry-run", "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("sweep", "sweep.toml", "--object", "part.obj,pin", "--units", "mm", "--dry-run", "--json"))
     assert [one["object"] for one in json.loads(done.stdout)["combinations"]] == ["part", "part", "pin", "pin"]
 
 
@@ -225,8 +219,7 @@ def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_pat
     before = finished(out)
     assert 2 <= len(before) < 8
     assert not (out / "sweep.csv").exists()
-    resumed = cli(*EIGHT, "--workers", 1, "--store", tmp_path / "store")
-    assert resumed.exit_code == 0, resumed.stderr
+    resumed = succeed(cli(*EIGHT, "--workers", 1, "--store", tmp_path / "store"))
     assert re.search(rf"\b8 combinations\b.*\b{8 - len(before)}\b.*\b{len(before)}\b", resumed.stdout)
     assert {name: time_ns for name, time_ns in finished(out).items() if name in before} == before
 

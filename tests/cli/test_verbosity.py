@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from cli_helpers import TINY
+from cli_helpers import TINY, succeed
 from message_helpers import missing
 from tactile_loc_cli.console import Bars, Lines, make_progress, show_log
 
@@ -25,8 +25,7 @@ def build(cli, tmp_path):
     """Build into a separate store, with words before and after the command; return the lines on stderr."""
 
     def run(before: list[str], after: list[str], store: str = "new") -> list[str]:
-        done = cli(*before, "build", *PIN, "--store", tmp_path / store, *after)
-        assert done.exit_code == 0, done.stderr
+        done = succeed(cli(*before, "build", *PIN, "--store", tmp_path / store, *after))
         return done.stderr.splitlines()
 
     return run

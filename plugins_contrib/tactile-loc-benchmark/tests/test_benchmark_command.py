@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from bench_fakes import offer_fakes
 from bench_parts import BOX_CORNERS_M, BOX_FACES
-from cli_helpers import HANGS_S, assert_refused, command
+from cli_helpers import HANGS_S, assert_refused, command, succeed
 from message_helpers import missing
 
 SUITE = """\
@@ -58,14 +58,12 @@ def suite(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_a_suite_is_run_once_and_written(cli, tmp_path):
-    done = cli("benchmark", "--suite", "tiny.toml", "--workers", 1, "--json")
-    assert done.exit_code == 0, done.stderr
+    done = succeed(cli("benchmark", "--suite", "tiny.toml", "--workers", 1, "--json"))
     report = json.loads(done.stdout)
     assert (report["suite"], report["jobs"], report["done"], report["failed"]) == ("tiny", 1, 1, 0)
     assert "pip install touch-maker" in report["left_out"]["photos"]
     assert {path.name for path in (tmp_path / "benchmark").iterdir()} == FILES
-    again = cli("benchmark", "--suite", "tiny.toml")
-    assert again.exit_code == 0, again.stderr
+    again = succeed(cli("benchmark", "--suite", "tiny.toml"))
     lines = again.stdout.splitlines()
     assert not missing(lines[0], "source", "method", "95 % interval")
     assert [line.split()[:3] for line in lines[1:3]] == [["sketch", "1", "guess"], ["sketch", "2", "guess"]]
@@ -76,16 +74,14 @@ def test_a_suite_is_run_once_and_written(cli, tmp_path):
     page = (tmp_path / "benchmark" / "report.html").read_text()
     (tmp_path / "benchmark" / "report.html").unlink()
     assert_refused(cli("report", "benchmark"), "tactile-loc benchmark --report --out benchmark")
-    made = cli("benchmark", "--report", "--json")
-    assert made.exit_code == 0, made.stderr
+    succeed(cli("benchmark", "--report", "--json"))
     assert (tmp_path / "benchmark" / "report.html").read_text() == page
 
 
 @pytest.mark.slow
 def test_a_method_of_a_plugin_is_added_and_a_failure_has_exit_code_1(cli, tmp_path):
     words = ["benchmark", "--suite", "tiny.toml", "--workers", 1, "--examples", 2, "--source", "sketch"]
-    done = cli(*words, "--method", "guess,oracle", "--out", "two")
-    assert done.exit_code == 0, done.stderr
+    succeed(cli(*words, "--method", "guess,oracle", "--out", "two"))
     table = pd.read_parquet(tmp_path / "two" / "rows.parquet")
     assert set(table["method"]) == {"guess", "oracle"}
     assert set(table["example"]) == {0, 1}
@@ -98,8 +94,7 @@ def test_a_method_of_a_plugin_is_added_and_a_failure_has_exit_code_1(cli, tmp_pa
 
 
 def test_the_labels_of_a_suite_are_listed_without_running_it(cli, tmp_path):
-    shown = cli("benchmark", "--suite", "tiny.toml", "--list")
-    assert shown.exit_code == 0, shown.stderr
+    shown = succeed(cli("benchmark", "--suite", "tiny.toml", "--list"))
     assert [line.split() for line in shown.stdout.splitlines()[1:]] == [
         ["source", "sketch", "sketch"], ["source", "photos", "library-source"], ["method", "guess", "guess"],
     ]  # fmt: skip
