@@ -147,26 +147,27 @@ class Registry:
         self.failures: list[LoadFailure] = []
         self.kinds: dict[str, ComponentKind | None] = dict.fromkeys(SLOTS)  # slots have no ComponentKind
         self._classes: dict[ComponentSpec, Any] = {}
-        offers: list[tuple[EntryPoint, list[ComponentSpec]]] = []
+        offers: list[tuple[str, str, list[ComponentSpec]]] = []
         for plugin in plugins:
-            with self._keep_failure(plugin):
-                offers.append((plugin, self._load(plugin)))
-        for plugin, components in offers:  # a component may be of a kind that a later plugin defines
-            with self._keep_failure(plugin):
+            distribution = _name_distribution(plugin)  # once for each plugin, because this reads a file
+            with self._keep_failure(plugin.name, distribution):
+                offers.append((plugin.name, distribution, self._load(plugin, distribution)))
+        for name, distribution, components in offers:  # a component may be of a kind that a later plugin defines
+            with self._keep_failure(name, distribution):
                 for component in components:
                     self._require_component_spec(component)
-                self.components += [Registered(spec, _name_distribution(plugin)) for spec in components]
+                self.components += [Registered(spec, distribution) for spec in components]
 
     @contextmanager
-    def _keep_failure(self, plugin: EntryPoint) -> Iterator[None]:
+    def _keep_failure(self, plugin: str, distribution: str) -> Iterator[None]:
         """Keep an error of the block as the plugin's failure."""
         try:
             yield
         except Exception as error:  # noqa: BLE001 - other people's plugins may raise anything
             reason = f"{type(error).__name__}: {error}"
-            self.failures.append(LoadFailure(plugin.name, _name_distribution(plugin), reason))
+            self.failures.append(LoadFailure(plugin, distribution, reason))
 
-    def _load(self, plugin: EntryPoint) -> list[ComponentSpec]:
+    def _load(self, plugin: EntryPoint, distribution: str) -> list[ComponentSpec]:
         """Import a plugin, add the kinds and commands that it defines, and return the components that it offers."""
         manager = pluggy.PluginManager(PROJECT)
         manager.add_hookspecs(sys.modules[__name__])
@@ -180,7 +181,7 @@ class Registry:
         for command in commands:
             _require_command_spec(command)
         self.kinds |= kinds
-        self.commands += [Registered(spec, _name_distribution(plugin)) for spec in commands]
+        self.commands += [Registered(spec, distribution) for spec in commands]
         return components
 
     def _require_component_spec(self, spec: Any) -> None:
@@ -416,4 +417,4 @@ def _name_distribution(plugin: EntryPoint) -> str:
 
 
 def _is_built_in(plugin: EntryPoint) -> bool:
-    return plugin.dist is not None and plugin.dist.name == BUILT_IN
+    return _name_distribution(plugin) == BUILT_IN
