@@ -16,8 +16,11 @@ DECLARED = {field.name for field in dataclasses.fields(Capabilities)}
 
 
 def read_in(source: str) -> Iterator[str]:
-    """Yield the attributes X that are read as `capabilities.X` or `something.capabilities.X`."""
+    """Yield the capabilities X that are read as `capabilities.X`, or that are tags X or "not X" of contract checks."""
     for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "check":
+            tags = (tag.value.removeprefix("not ") for tag in node.args[1:] if isinstance(tag, ast.Constant))
+            yield from (tag for tag in tags if tag != "property")
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
             owner = node.value
             name = owner.attr if isinstance(owner, ast.Attribute) else owner.id if isinstance(owner, ast.Name) else ""
@@ -29,7 +32,7 @@ def read_in(source: str) -> Iterator[str]:
 def read() -> frozenset[str]:
     """The capabilities that the code reads."""
     texts = (path.read_text() for path in Path(tactile_loc.__file__).parent.rglob("*.py"))
-    names = {name for text in texts if "capabilities." in text for name in read_in(text)}
+    names = {name for text in texts if "capabilities." in text or "@check(" in text for name in read_in(text)}
     return frozenset(names | {one.capability for rule in INCOMPATIBILITIES for one in (rule.first, rule.second)})
 
 
