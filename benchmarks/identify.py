@@ -26,6 +26,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,23 +36,25 @@ import numpy as np
 from contacts import LEVELS
 from generated_parts import list_likenesses
 from numpy.typing import NDArray
-from tactile_loc_benchmark.suite import read_split
+from tactile_loc_library.building import build_library, list_meshes
+from tactile_loc_library.identification import LOCATED, find_candidates, identify_part
+from tactile_loc_library.library import Library
+from tactile_loc_library.null_fit import KnownAnswer, fit_null_evidence
+from tactile_loc_library.record import PlaceGrid
+from tactile_loc_library.search import PartSearch
 
 from tactile_loc.core.sensing.noise import NOISE, TouchNoise
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
-from tactile_loc.library.folder import LibraryFolder
+from tactile_loc.locate.identify import find_floors, identify
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.probability.null_evidence import NullEvidence
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.result.verdict import judge as judge_pose
+from tactile_loc.planning.identification_files import AS_PROBABLE
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
-from tactile_loc.tasks.identify import LOCATED, find_floors, identify
-from tactile_loc.tasks.identify_files import AS_PROBABLE
-from tactile_loc.tasks.library import Library
-from tactile_loc.tasks.library_parts import StoredParts
-from tactile_loc.tasks.null_evidence import KnownAnswer, NullEvidence, fit_null_evidence
 
 TEMPERATURE = 0.05  # not fitted, because objects are weighed by their evidence
 FALSE_ALARMS = 0.05
@@ -67,36 +70,29 @@ LIKE_SHARES = ("like_rejected", "like_named", "like_certain")
 SUFFERING = {**LEVELS, "mild": {"noise": TouchNoise(**{**NOISE["mild"].__dict__, "press_share": (1.0, 1.0)})}}
 
 
-def open_library(arguments: argparse.Namespace) -> Library:
-    """Return the library on disk, or a library of the meshes."""
-    store = StageStore(arguments.store)
-    if arguments.library is not None:
-        config = RunConfig.from_dict({"sensor": arguments.sensor, "temperature": TEMPERATURE})
-        return Library(StoredParts(LibraryFolder.open(arguments.library), config, store))
-    return Library([
-        Localizer.create(
-            path, units=units or "auto", sensor=arguments.sensor, store=store, grid={"name": "whole"},
-            temperature=TEMPERATURE,
-        )
-        for path, _, units in (mesh.partition(":") for mesh in arguments.meshes)
-    ])  # fmt: skip
+def open_search(arguments: argparse.Namespace) -> PartSearch:
+    """Return the search of the library on disk, or of a library that is built there from the meshes."""
+    config = RunConfig.from_dict({"sensor": arguments.sensor, "temperature": TEMPERATURE})
+    if meshes := getattr(arguments, "meshes", ()):
+        given = [mesh.partition(":") for mesh in meshes]
+        sources = [one for path, _, units in given for one in list_meshes([path], units or "auto")]
+        build_library(arguments.library, sources, PlaceGrid("whole", {}))
+    return PartSearch(Library.open(arguments.library), config, StageStore(arguments.store))
 
 
-def choose_asked(library: Library, pattern: str, most: int | None) -> list[str]:
+def choose_asked(search: PartSearch, pattern: str, most: int | None) -> list[str]:
     """Return the names of the touched objects: at least `most` of those that match `pattern`, evenly spread."""
-    asked = [name for name in library.names if re.match(pattern, name)]
+    asked = [name for name in search.names if re.match(pattern, name)]
     return asked[:: max(1, len(asked) // (most or len(asked)))]
 
 
-def choose_among(library: Library, name: str, size: int, rng: np.random.Generator) -> Library:
-    """Return a library of `size` parts: the part `name`, those that resemble it, and a random choice of the others."""
-    some = [one for one in (name, *list_likenesses(name)) if one in library.names][:size]
-    others = [one for one in library.names if one not in some]
+def choose_among(search: PartSearch, name: str, size: int, rng: np.random.Generator) -> PartSearch:
+    """Return a search of `size` parts: the part `name`, those that resemble it, and a random choice of the others."""
+    some = [one for one in (name, *list_likenesses(name)) if one in search.names][:size]
+    others = [one for one in search.names if one not in some]
     some += rng.choice(others, min(size - len(some), len(others)), replace=False).tolist()
-    if not isinstance(parts := library.models, StoredParts):
-        return Library([parts[library.names.index(one)] for one in some])
-    rows = {one: parts.folder.rows[one] for one in sorted(some)}
-    return Library(StoredParts(replace(parts.folder, rows=rows), parts.config, parts.store))
+    rows = {one: search.library.rows[one] for one in sorted(some)}
+    return PartSearch(replace(search.library, rows=rows), search.config, search.store)
 
 
 def make_source(model: Localizer, level: str) -> RobotTouches:
@@ -105,11 +101,11 @@ def make_source(model: Localizer, level: str) -> RobotTouches:
     return RobotTouches(model.object, model.scene.geometry, raycast, **SUFFERING[level])
 
 
-def draw_example(library: Library, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
+def draw_example(search: PartSearch, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
     """Return the touches of one object. Examples with fewer touches use the first of these touches."""
-    model = library.models[number]
-    rng = np.random.default_rng([arguments.seed, *map(ord, model.object.name), again])
-    return make_source(model, arguments.level).draw_example(max(arguments.touches), rng)[0]
+    rng = np.random.default_rng([arguments.seed, *map(ord, search.names[number]), again])
+    with search.use(number) as part:
+        return make_source(part.model, arguments.level).draw_example(max(arguments.touches), rng)[0]
 
 
 def measure_once(kept: Path | None, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
@@ -124,36 +120,40 @@ def measure_once(kept: Path | None, measure: Callable[[], dict[str, Any]]) -> di
     return row
 
 
-def measure_object(library: Library, name: str, touches: list[Touch]) -> dict[str, Any]:
+def measure_object(search: PartSearch, name: str, touches: list[Touch]) -> dict[str, Any]:
     """Return the objects' rough fits, and the misfits of the objects to be located, in each of the SITUATIONS."""
-    like = [one for one in list_likenesses(name) if one in library.names]
+    like = [one for one in list_likenesses(name) if one in search.names]
     start = time.perf_counter()
-    said = identify(touches, library, replace(LOCATED, most_behind=np.inf, most=LOCATED.most + 1 + len(like)))
+    candidates = find_candidates(touches, search)
+    chosen = candidates.choose(replace(LOCATED, most_behind=np.inf, most=LOCATED.most + 1 + len(like)))
+    with ExitStack() as stack:
+        models = {search.names[k]: stack.enter_context(search.use(k)).model for k in chosen}
+    said = identify(touches, list(models.values()))
     located = [one for one in said.objects if one.found is not None]
     row: dict[str, Any] = {
         "object": name, "touches": len(touches), "seconds": time.perf_counter() - start, "likenesses": like,
-        "alike": {one.name: one.alike for one in said.objects},
-        "rough_misfits": {one.name: one.rough_misfit for one in said.objects},
+        "alike": dict(zip(search.names, candidates.alike.tolist(), strict=True)),
+        "rough_misfits": {name: fit.misfit for name, fit in zip(search.names, candidates.fits, strict=True)},
         "misfits": {one.name: one.misfit for one in located},
         "imprint_ious": {one.name: one.found.best.imprint_iou for one in located if one.found is not None},
         "floors": {KNOWN: list(said.floors)},
     }  # fmt: skip
     for situation in (LIKENESS, UNKNOWN) if like else (UNKNOWN,):
         names = list_located(row, situation)
-        apart = {library.names.index(one.name): np.array(one.apart) for one in located if one.name in names}
-        row["floors"][situation] = find_floors(library, touches, apart).tolist()
+        some = [(models[one.name], one) for one in located if one.name in names]
+        row["floors"][situation] = find_floors(touches, some).tolist()
     return row
 
 
 def measure_example(
-    library: Library, name: str, count: int, arguments: argparse.Namespace, again: int
-) -> dict[str, Any]:  # fmt: skip
+    search: PartSearch, name: str, count: int, arguments: argparse.Namespace, again: int
+) -> dict[str, Any]:
     """Return what `measure_object` returns for `count` touches of an object, among as many parts as requested."""
-    touches = draw_example(library, library.names.index(name), arguments, again)[:count]
+    touches = draw_example(search, search.names.index(name), arguments, again)[:count]
     if arguments.among is not None:
         rng = np.random.default_rng([arguments.seed, *map(ord, name), again, arguments.among])
-        library = choose_among(library, name, arguments.among, rng)
-    return measure_object(library, name, touches)
+        search = choose_among(search, name, arguments.among, rng)
+    return measure_object(search, name, touches)
 
 
 def list_located(row: dict[str, Any], situation: str) -> list[str]:
@@ -264,19 +264,19 @@ def compare_shares(rows: list[dict[str, Any]], null: NullEvidence) -> Iterator[t
                 yield what, [int(some.sum()), float(weights[some].sum()), said_mean, share]
 
 
-def time_comparisons(library: Library, touches: list[Touch]) -> float:
+def time_comparisons(search: PartSearch, touches: list[Touch]) -> float:
     """Return the time of a quick comparison with all objects. An earlier one, not timed, opens their models."""
-    library.compare(touches)
+    search.compare(touches)
     start = time.perf_counter()
-    library.compare(touches)
+    search.compare(touches)
     return time.perf_counter() - start
 
 
 def main() -> None:
     """Measure, print tables, and keep the examples if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects")
-    parser.add_argument("--library", type=Path, help="library on disk, instead of meshes")
+    parser.add_argument("meshes", nargs="*", help="FILE[:UNITS], or demo objects, to build the library from")
+    parser.add_argument("--library", type=Path, required=True, help="library on disk; with meshes, it is built there")
     parser.add_argument("--asked", default="", help="regular expression for the names of touched objects")
     parser.add_argument("--most", type=int, help="number of touched objects; default: all")
     parser.add_argument("--among", type=int, help="identify among as many random parts; default: all")
@@ -290,21 +290,21 @@ def main() -> None:
     parser.add_argument("--store", type=Path, help="store of models")
     parser.add_argument("--out", type=Path, help="folder with a file for each object and number of touches")
     arguments = parser.parse_args()
-    library = open_library(arguments)
+    search = open_search(arguments)
     rows = []
     for count in arguments.touches:
-        for name in choose_asked(library, arguments.asked, arguments.most):
+        for name in choose_asked(search, arguments.asked, arguments.most):
             for again in range(arguments.examples):
-                label = f"{name}-{arguments.level}-{count}-{again}-{arguments.among or len(library)}.json"
+                label = f"{name}-{arguments.level}-{count}-{again}-{arguments.among or len(search)}.json"
                 kept = arguments.out / label if arguments.out else None
-                rows.append(measure_once(kept, partial(measure_example, library, name, count, arguments, again)))
+                rows.append(measure_once(kept, partial(measure_example, search, name, count, arguments, again)))
     report(rows, arguments)
     for size in arguments.sizes:
-        some = Library(library.models[:size])
+        some = choose_among(search, search.names[0], size, np.random.default_rng(arguments.seed))
         touches = draw_example(some, 0, arguments, 0)[:2]
         compared_s = time_comparisons(some, touches)
         start = time.perf_counter()
-        identify(touches, some)
+        identify_part(touches, some)
         identified_s = time.perf_counter() - start
         print(f"{size} objects, two touches: compared in {1e3 * compared_s:.0f} ms, identified in {identified_s:.1f} s")
 

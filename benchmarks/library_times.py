@@ -20,14 +20,13 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from identify import choose_asked, draw_example, open_library
+from identify import choose_asked, draw_example, open_search
+from tactile_loc_library.identification import choose_shortlists, identify_part
+from tactile_loc_library.search import PartSearch
+from tactile_loc_library.votes import rate_object
 
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.library.folder import LibraryFolder
-from tactile_loc.tasks.identify import choose_shortlists, identify
-from tactile_loc.tasks.library import Library
-from tactile_loc.tasks.votes import rate_object
 
 COLUMNS = ("parts", "touches", "examples", "all votes", "deciding votes", "of these the scan", "joined")
 IDENTIFIED = ("first identified", "again")
@@ -40,15 +39,13 @@ def measure(function: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
     return time.process_time() - start_s, result
 
 
-def measure_example(library: Library, touches: list[Touch], identifies: bool) -> list[float]:
+def measure_example(search: PartSearch, touches: list[Touch], identifies: bool) -> list[float]:
     """Return the times, s, and the number of joined parts, in the order of the columns."""
-    all_s, _ = measure(library.compare, touches)
-    with patch("tactile_loc.tasks.library.rate_object", wraps=rate_object) as rated:
-        some_s, comparison = measure(library.compare, touches, choose_shortlists(len(touches), len(library))[0])
-    scan_s, _ = measure(
-        library.models.find_most_similar, comparison.asked.rounded, library.describe, lambda count: None
-    )
-    whole = [measure(identify, touches, library)[0] for _ in range(2)] if identifies else []
+    all_s, _ = measure(search.compare, touches)
+    with patch("tactile_loc_library.search.rate_object", wraps=rate_object) as rated:
+        some_s, votes = measure(search.compare, touches, choose_shortlists(len(touches), len(search))[0])
+    scan_s, _ = measure(search.find_most_similar, votes.described.rounded, lambda count: None)
+    whole = [measure(identify_part, touches, search)[0] for _ in range(2)] if identifies else []
     return [all_s, some_s, scan_s, rated.call_count, *whole]
 
 
@@ -72,16 +69,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=47)
     parser.add_argument("--store", type=Path, help="store of models")
     arguments = parser.parse_args()
-    library = open_library(arguments)
+    search = open_search(arguments)
     rows: dict[int, list[list[float]]] = {count: [] for count in arguments.touches}
-    for name in choose_asked(library, arguments.asked, arguments.most):
+    for name in choose_asked(search, arguments.asked, arguments.most):
         try:
-            touches = draw_example(library, library.names.index(name), arguments, 0)
+            touches = draw_example(search, search.names.index(name), arguments, 0)
         except TactileLocError as error:
             print(f"  {name} is left out: {error}", flush=True)
             continue
         for count, row in rows.items():
-            row.append(measure_example(library, touches[:count], arguments.identifies))
+            row.append(measure_example(search, touches[:count], arguments.identifies))
     columns = [*COLUMNS, *(IDENTIFIED if arguments.identifies else ())]
     print(f"| {' | '.join(columns)} |")
     print("|---" * len(columns) + "|")
@@ -89,10 +86,8 @@ def main() -> None:
         every, some, scan, joined, *whole = np.median(row[1:] or row, axis=0)  # the first one loads the compiled code
         spent = " | ".join(f"{one:.2f}" for one in (every, some, scan))
         last = "".join(f" {one:.1f} |" for one in whole)
-        print(f"| {len(library)} | {count} | {len(row)} | {spent} | {joined:.0f} |{last}")
-    mapped = sum(
-        shard.vectors.nbytes + shard.placements.nbytes for shard in LibraryFolder.open(arguments.library).shards
-    )
+        print(f"| {len(search)} | {count} | {len(row)} | {spent} | {joined:.0f} |{last}")
+    mapped = sum(shard.vectors.nbytes + shard.placements.nbytes for shard in search.library.shards)
     print(f"memory {read_own_memory():.2f} GB, mapped arrays {mapped / 1e9:.2f} GB", flush=True)
 
 

@@ -29,16 +29,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from identify import choose_among, choose_asked, make_source, measure_once, open_library
+from identify import choose_among, choose_asked, make_source, measure_once, open_search
+from tactile_loc_library.identification import identify_part
+from tactile_loc_library.search import PartSearch
 
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.approach_files import Approach
+from tactile_loc.locate.identify import Identification
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.planning.approaches import draw_approaches_to_modes
 from tactile_loc.planning.next_touch import choose_next_touch
-from tactile_loc.tasks.identify import Identification, identify
-from tactile_loc.tasks.library import Library
+from tactile_loc.tracking.pose_modes import PoseModes
 
 PRESS = 0.6  # share of the sensor's deepest press
 METHODS = ("proposed", "random")
@@ -50,7 +52,7 @@ class Example:
     """An object at rest, with its first touches and the approaches to choose from. Answers are kept."""
 
     name: str
-    library: Library
+    search: PartSearch
     source: RobotTouches
     first: list[Touch]
     seed: tuple[int, ...]
@@ -68,16 +70,16 @@ class Example:
         key = tuple(sorted(chosen))
         if key not in self.answers:
             more = [touch for k in key if (touch := self.touch(k)) is not None]
-            self.answers[key] = identify([*self.first, *more], self.library)
+            self.answers[key] = identify_part([*self.first, *more], self.search)
         return self.answers[key]
 
     def propose(self, now: Identification, left: list[int]) -> Iterator[int]:
         """Yield the approaches that are left, the one that `choose_next_touch` ranks first at first."""
-        if now.modes is None:
+        if (modes := PoseModes.of_objects(now)) is None:
             return iter(left)
         number = {id(self.approaches[k]): k for k in left}
         start = time.perf_counter()
-        ranked = choose_next_touch(now.modes, [self.approaches[k] for k in left]).ranked
+        ranked = choose_next_touch(modes, [self.approaches[k] for k in left]).ranked
         self.seconds.append(time.perf_counter() - start)
         return iter([number[id(rated.approach)] for rated in ranked])
 
@@ -108,17 +110,17 @@ class Example:
         return {**counts, "more": float(len(chosen))}
 
 
-def measure(library: Library, name: str, level: str, arguments: argparse.Namespace) -> dict[str, Any]:
+def measure(search: PartSearch, name: str, level: str, arguments: argparse.Namespace) -> dict[str, Any]:
     """Measure an example of one object; it has no counts unless the first answer is ambiguous."""
     seed = (arguments.seed, *map(ord, name))
     rng = np.random.default_rng(seed)
-    some = choose_among(library, name, arguments.among, rng)
-    with library.use(library.names.index(name)) as model:
-        geometry, source = model.scene.geometry, make_source(model, level)
+    some = choose_among(search, name, arguments.among, rng)
+    with search.use(search.names.index(name)) as part:
+        geometry, source = part.model.scene.geometry, make_source(part.model, level)
     example = Example(name, some, source, source.draw_example(arguments.touches, rng)[0], seed)
     said = example.identify()
     row = {"object": name, "level": level, "verdict": said.verdict.value}
-    if said.verdict is not Verdict.AMBIGUOUS or (modes := said.modes) is None:
+    if said.verdict is not Verdict.AMBIGUOUS or (modes := PoseModes.of_objects(said)) is None:
         return row
     around = draw_approaches_to_modes(modes, arguments.approaches, rng)
     example.approaches.extend(dataclasses.replace(a, press_m=PRESS * geometry.max_depth_m) for a in around)
@@ -159,14 +161,14 @@ def main() -> None:
     parser.add_argument("--store", type=Path, help="store of models")
     parser.add_argument("--out", type=Path, help="folder with a file for each example")
     arguments = parser.parse_args()
-    library = open_library(arguments)
+    search = open_search(arguments)
     rows: list[dict[str, Any]] = []
-    asked = choose_asked(library, arguments.asked, None)
+    asked = choose_asked(search, arguments.asked, None)
     for number, name in enumerate(np.random.default_rng(arguments.seed).permutation(asked).tolist()):
         if sum("proposed" in row for row in rows) == arguments.examples:
             break
         kept = arguments.out / f"{name}.json" if arguments.out else None
-        rows.append(measure_once(kept, partial(measure, library, name, NOISES[number % len(NOISES)], arguments)))
+        rows.append(measure_once(kept, partial(measure, search, name, NOISES[number % len(NOISES)], arguments)))
     report(rows, arguments)
 
 

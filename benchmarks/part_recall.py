@@ -18,22 +18,21 @@ from pathlib import Path
 import numpy as np
 from identify import SUFFERING, choose_asked, make_source
 from numpy.typing import NDArray
+from tactile_loc_library.library import Library
+from tactile_loc_library.search import PartSearch
 
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.io.config import RunConfig
-from tactile_loc.library.folder import LibraryFolder
-from tactile_loc.tasks.library import Library
-from tactile_loc.tasks.library_parts import StoredParts
 
 SHORTLIST = 64
 
 
-def rate(library: Library, k: int, level: str, most: int, seed: int) -> NDArray[np.float64]:
+def rate(search: PartSearch, k: int, level: str, most: int, seed: int) -> NDArray[np.float64]:
     """Return the log-likelihoods (most, K) of all K parts, given the first touches of part k, 1 to `most`."""
-    model = library.models[k]
-    rng = np.random.default_rng([seed, *map(ord, model.object.name)])
-    touches = make_source(model, level).draw_example(most, rng)[0]
-    return np.stack([library.compare(touches[: n + 1]).nats for n in range(most)])
+    rng = np.random.default_rng([seed, *map(ord, search.names[k])])
+    with search.use(k) as part:
+        touches = make_source(part.model, level).draw_example(most, rng)[0]
+    return np.stack([search.compare(touches[: n + 1]).nats for n in range(most)])
 
 
 def main() -> None:
@@ -48,9 +47,8 @@ def main() -> None:
     parser.add_argument("--sizes", nargs="+", type=int, default=[100, 300])
     parser.add_argument("--seed", type=int, default=41)
     arguments = parser.parse_args()
-    folder = LibraryFolder.open(arguments.library)
-    library = Library(StoredParts(folder, RunConfig.from_dict({"sensor": arguments.sensor})))
-    asked = [library.names.index(name) for name in choose_asked(library, arguments.asked, arguments.most)]
+    search = PartSearch(Library.open(arguments.library), RunConfig.from_dict({"sensor": arguments.sensor}))
+    asked = [search.names.index(name) for name in choose_asked(search, arguments.asked, arguments.most)]
     rng = np.random.default_rng(arguments.seed)
     print(
         "| touches | noise | parts | examples | mean rank, share of the parts | among the best 64 | best | ms a part |"
@@ -61,14 +59,14 @@ def main() -> None:
         for k in asked:
             start = time.perf_counter()
             try:
-                rated[k] = rate(library, k, level, arguments.touches, arguments.seed)
+                rated[k] = rate(search, k, level, arguments.touches, arguments.seed)
             except TactileLocError as error:
-                print(f"  {library.names[k]} is left out: {error}", flush=True)
+                print(f"  {search.names[k]} is left out: {error}", flush=True)
             seconds += time.perf_counter() - start
-        for size in (n for n in arguments.sizes if n <= len(library)):
+        for size in (n for n in arguments.sizes if n <= len(search)):
             for n in range(arguments.touches):
                 ranks = np.array([_rank(nats[n], k, size, rng) for k, nats in rated.items()])
-                spent_ms = 1e3 * seconds / (len(rated) * len(library) * arguments.touches)
+                spent_ms = 1e3 * seconds / (len(rated) * len(search) * arguments.touches)
                 print(
                     f"| {n + 1} | {level} | {size} | {len(ranks)} | {ranks.mean() / size:.1%} "
                     f"| {(ranks < SHORTLIST).mean():.0%} | {(ranks == 0).mean():.0%} | {spent_ms:.1f} |",

@@ -26,12 +26,11 @@ import torch
 from generated_parts import FAMILIES, ROUNDED, list_names, make_mesh
 from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
+from tactile_loc_library.descriptor import ANGLES, RADII_M, RAMPS_M, STEPS
+from tactile_loc_library.descriptor import Descriptor as Described
 from torch import Tensor, nn
 from torch.nn import functional
 
-from tactile_loc.core.descriptor.descriptor import STEPS
-from tactile_loc.core.descriptor.descriptor import Descriptor as Described
-from tactile_loc.core.descriptor.features import ANGLES, RADII_M, RAMPS_M
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.places.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Places
 from tactile_loc.core.runtime.progress import Progress

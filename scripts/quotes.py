@@ -11,7 +11,7 @@ from statistics import geometric_mean, mean, median
 
 from results import Results
 
-from tactile_loc.tasks.null_evidence import NullEvidence
+from tactile_loc.locate.probability.null_evidence import NullEvidence
 
 Values = Callable[[Results], Sequence[float]]
 

@@ -60,8 +60,12 @@ if TYPE_CHECKING:
     from tactile_loc.io.touches import read_touch as read_touch
     from tactile_loc.io.touches import touch_from_image as touch_from_image
     from tactile_loc.io.touches import write_touch as write_touch
+    from tactile_loc.locate.identify import Identification as Identification
+    from tactile_loc.locate.identify import KnownObject as KnownObject
+    from tactile_loc.locate.identify import identify as identify
     from tactile_loc.locate.localizer import Localizer as Localizer
     from tactile_loc.locate.localizer import localize_together as localize_together
+    from tactile_loc.locate.probability.null_evidence import NullEvidence as NullEvidence
     from tactile_loc.locate.probability.probabilities import TemperatureScaling as TemperatureScaling
     from tactile_loc.locate.result.hypothesis import Hypothesis as Hypothesis
     from tactile_loc.locate.result.hypothesis import JudgedHypothesis as JudgedHypothesis
@@ -89,11 +93,6 @@ if TYPE_CHECKING:
     from tactile_loc.sensors.reading.estimator import EstimatorRecipe as EstimatorRecipe
     from tactile_loc.simulate.touch_simulation import press_touch as press_touch
     from tactile_loc.store.store import StageStore as StageStore
-    from tactile_loc.tasks.identify import Identification as Identification
-    from tactile_loc.tasks.identify import KnownObject as KnownObject
-    from tactile_loc.tasks.identify import identify as identify
-    from tactile_loc.tasks.library import Library as Library
-    from tactile_loc.tasks.null_evidence import NullEvidence as NullEvidence
     from tactile_loc.tracking.live import LiveLocator as LiveLocator
     from tactile_loc.tracking.pose_modes import PoseModes as PoseModes
     from tactile_loc.tracking.replay import FolderReplay as FolderReplay

@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING
 from tactile_loc.core.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
-    # options: a parameter of type Annotated[RunOptions, Takes("object", ...)] becomes the options named there
+    # identification: shared options, and what the commands show and write
+    from tactile_loc_cli.commands.identify import IdentificationOutput as IdentificationOutput
+    from tactile_loc_cli.commands.next_touch import Around as Around
+    from tactile_loc_cli.commands.next_touch import Candidates as Candidates
+
+    # output on the terminal
     from tactile_loc_cli.console import complain as complain
     from tactile_loc_cli.console import format_count as format_count
     from tactile_loc_cli.console import make_progress as make_progress
@@ -24,6 +29,8 @@ if TYPE_CHECKING:
     from tactile_loc_cli.failures import UNEXPECTED as UNEXPECTED
     from tactile_loc_cli.failures import USAGE_ERROR as USAGE_ERROR
     from tactile_loc_cli.failures import Finding as Finding
+
+    # options: a parameter of type Annotated[RunOptions, Takes("object", ...)] becomes the options named there
     from tactile_loc_cli.options import Report as Report
     from tactile_loc_cli.options import Require as Require
     from tactile_loc_cli.options import RunOptions as RunOptions
@@ -45,7 +52,13 @@ if TYPE_CHECKING:
     from tactile_loc.core.runtime.formatting import format_mm as format_mm
     from tactile_loc.core.runtime.formatting import format_percent as format_percent
 
+    # files, which are written completely or not at all
+    from tactile_loc.locate.stored_object import list_mesh_files as list_mesh_files
+
     # which requests a local web server answers
     from tactile_loc.reports.access import Access as Access
+    from tactile_loc.store.files import remove_abandoned as remove_abandoned
+    from tactile_loc.store.files import replace_file as replace_file
+    from tactile_loc.store.files import replace_folder as replace_folder
 
 __all__, __getattr__, __dir__ = lazy_names(__name__)

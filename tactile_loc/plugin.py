@@ -96,6 +96,15 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses.lattices import require_spacing as require_spacing
     from tactile_loc.core.poses.lattices import make_shifted_lattice as make_shifted_lattice
 
+    # for searches among places of many objects
+    from tactile_loc.core.places.rotated_patches import find_anchor as find_anchor, rotate_patches as rotate_patches
+    from tactile_loc.core.sensing.scene import compute_full_evidence as compute_full_evidence
+    from tactile_loc.core.runtime.compiled import use_one_blas_thread as use_one_blas_thread
+    from tactile_loc.core.runtime.caches import ByteCache as ByteCache
+    from tactile_loc.core.runtime.compiled import map_in_threads as map_in_threads
+    from tactile_loc.core.runtime.formatting import show_name as show_name
+    from tactile_loc.core.places.touch_bounds import TouchBounds as TouchBounds, bound_touch as bound_touch
+
     from tactile_loc.core.places.places import PATCH_PX as PATCH_PX, PITCH_M as PITCH_M, Places as Places
     from tactile_loc.core.places.places import make_patches as make_patches
 
@@ -121,6 +130,7 @@ if TYPE_CHECKING:
     # for fusers
     from tactile_loc.bases.common_poses import CommonPosesFuser as CommonPosesFuser
     from tactile_loc.bases.common_poses import require_fusable as require_fusable
+    from tactile_loc.bases.common_poses import require_sensor_poses as require_sensor_poses
     from tactile_loc.bases.common_poses import find_common_poses as find_common_poses
     from tactile_loc.bases.common_poses import compute_prior_weights as compute_prior_weights
 

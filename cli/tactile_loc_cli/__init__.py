@@ -22,7 +22,6 @@ COMMANDS = (
     ("plugins", "commands.plugins:plugins", "List components and their options, or check one."),
     ("new-plugin", "scaffold.command:new_plugin", "Write a package for a new component."),
     ("doctor", "doctor.command:doctor", "Check the installation."),
-    ("library", "commands.library:application", "Build, change or check a library of parts."),
     ("store", "commands.store:application", "List, measure or prune the built models."),
 )
 # Commands of packages in plugins_contrib, which are installed separately.

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from tactile_loc.locate.result.hypothesis import Hypothesis
     from tactile_loc.locate.result.localization import Localization
     from tactile_loc.locate.touch_files import LocatedFile
+    from tactile_loc.planning.identification_files import IdentificationRecord, KnownObjectRecord
     from tactile_loc.planning.next_touch import NextTouch, RatedApproach
-    from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord
 
 IMPRINT = "imprint IoU %"
 MOST_NAMED = 3  # names of touches that are shown
@@ -209,7 +209,7 @@ def _list_rated_cells(one: RatedApproach) -> list[str]:
 
 def say_identification(record: IdentificationRecord, next_touch: NextTouch | None) -> None:
     """Write the verdict, a table of the located objects, the most probable first, and the next touch, if any."""
-    from tactile_loc.tasks.identify_files import NONE_OF_THESE
+    from tactile_loc.planning.identification_files import NONE_OF_THESE
 
     header = ["object", "prob. %", "misfit nats", IMPRINT, *POSE]
     located = [one for one in record.objects if one.poses]

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from tactile_loc_library.building import WAITING
+from tactile_loc_library.library import MANIFEST as LIBRARY
 
 from killing.commands import Place
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.io.streams.recordings import Recording
-from tactile_loc.library.building import WAITING
-from tactile_loc.library.folder import MANIFEST as LIBRARY
 from tactile_loc.store.artifact import MANIFEST, read_artifact
 from tactile_loc.store.keys import hash_file
 from tactile_loc.store.store import StageStore

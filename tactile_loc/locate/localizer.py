@@ -180,14 +180,9 @@ class Localizer:
 
     @property
     def loaded_bytes(self) -> int:
-        """The memory, bytes, of the places and banks of a search of the whole object, which `release` frees."""
+        """The memory, bytes, of the places and banks of a search of the whole object."""
         kept = [self.__dict__.get("source"), getattr(self.__dict__.get("probabilities"), "source", None)]
         return sum({id(source): source.nbytes for source in kept if source is not None}.values())
-
-    def release(self) -> None:
-        """Free the places, listed poses and banks. They are read from the store, or made, when they are next used."""
-        for part in ("source", "probabilities"):
-            self.__dict__.pop(part, None)
 
     @property
     def listed(self) -> ListedSource:

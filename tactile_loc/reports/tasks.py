@@ -14,10 +14,10 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
 from tactile_loc.locate.result.verdict import explain_verdict, name_verdict
 from tactile_loc.locate.touch_files import LocatedFile
+from tactile_loc.planning.identification_files import NONE_OF_THESE, IdentificationRecord, KnownObjectRecord
 from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import draw_shape, encode_gallery
-from tactile_loc.tasks.identify_files import NONE_OF_THESE, IdentificationRecord, KnownObjectRecord
 
 POSE = ("x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
 DEPTHS = "Dark: pressed deepest. Touches are drawn as the sensor sees them, x right and y down."

@@ -31,7 +31,6 @@ MEANINGS = {  # what a stage makes, for messages
     "temperature": "fit of the probabilities",
     "fused-temperature": "fit of the probabilities of several touches",
     "conformal": "fit of the calibrated sets",
-    "descriptions": "touches to compare objects quickly",
     "evaluation": "evaluated touches",
     "contact-evaluation": "evaluated sets of touches",
     "recall-evaluation": "evaluated examples",

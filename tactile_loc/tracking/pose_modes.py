@@ -18,6 +18,7 @@ from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.locate.identify import LEAST_REPORTED, Identification
 from tactile_loc.locate.result.localization import Localization
 
 Float64 = NDArray[np.float64]
@@ -58,6 +59,16 @@ class PoseModes:
         obj = found.posterior.grid.metric.object
         ious = [h.imprint_iou for h in found.hypotheses]
         return find_distinct_modes(obj, poses, p, touch.geometry, touch.indentation_m, ious)
+
+    @classmethod
+    def of_objects(cls, found: Identification) -> PoseModes | None:
+        """Return the pairs of an object and its pose that are still possible, which the next touch has to distinguish.
+
+        They are those of objects with a probability of at least LEAST_REPORTED; None if there is no such object.
+        """
+        probable = [one for one in found.objects if one.probability >= LEAST_REPORTED]
+        known = [(cls.of(one.found), one.probability) for one in probable if one.found is not None]
+        return join_modes(*zip(*known, strict=True)) if known else None
 
     @property
     def entropy(self) -> float:

@@ -12,8 +12,7 @@ import trimesh
 from cli_helpers import assert_refused, succeed
 from tactile_loc_cli.commands.identify import identify as command
 
-from tactile_loc.tasks.identify import LOCATED
-from tactile_loc.tasks.null_evidence import NullEvidence
+from tactile_loc.locate.probability.null_evidence import NullEvidence
 
 SETTINGS = "temperature = 0.05\n[grid]\nname = 'whole'\ndirections = 300\nturns = 24\n"
 IDENTIFY = ["identify", "--objects", "parts", "--units", "mm", "--sensor", "gelsight-mini", "--config", "run.toml"]
@@ -86,6 +85,11 @@ def test_bad_input_is_one_sentence(cli, parts):
     assert not Path("tactile-loc-identify").exists()
 
 
-def test_the_defaults_are_those_of_the_library():
-    defaults = {name: one.default for name, one in inspect.signature(command).parameters.items()}
-    assert (defaults["unknown"], defaults["located"]) == (NullEvidence.prior, LOCATED.most)
+def test_a_library_is_identified_by_another_command(cli):
+    Path("lib").mkdir()
+    Path("lib/library.json").write_text("{}")
+    assert_refused(cli("identify", "--objects", "lib", "--touch", "t.npz"), "tactile-loc library identify lib --touch")
+
+
+def test_the_default_share_of_unknown_objects_is_that_of_python():
+    assert inspect.signature(command).parameters["unknown"].default == NullEvidence.prior

@@ -12,12 +12,10 @@ import zlib
 from collections.abc import Callable
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import zstandard
 from mcap.writer import CompressionType, Writer
 from PIL import Image
-from pyarrow import parquet
 
 MB = 2**20
 HUGE = 768 * MB  # what the files unpack to
@@ -26,7 +24,7 @@ MOST_MB = 192  # three times the largest peak, of the libraries that a record ne
 CHILD = """
 import json, os, resource, sys, zipfile
 from pathlib import Path
-import mcap.stream_reader, pyarrow.parquet, safetensors.numpy, scipy.spatial, trimesh
+import mcap.stream_reader, safetensors.numpy, scipy.spatial, trimesh
 from PIL import Image
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -35,8 +33,6 @@ from tactile_loc.io.images import load_npz, read_photo
 from tactile_loc.io.meshes.mesh_files import read_surface
 from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.io.touches import read_contents, read_mask
-from tactile_loc.library.record import PartRecord
-from tactile_loc.library.table import read_table
 
 def read(path):
     kind = path.suffix
@@ -50,8 +46,6 @@ def read(path):
         return (read_mask if path.stem == "mask" else read_contents)(path, geometry)
     readers = {
         ".mcap": lambda path: Recording(path).read_contents(),
-        ".part": lambda path: PartRecord.unpack(path.read_bytes()),
-        ".parquet": lambda path: read_table(path.read_bytes()),
         ".safetensors": safetensors.numpy.load_file,
     }
     return readers.get(kind, read_surface)(path)
@@ -146,21 +140,6 @@ def mcap(stated: int) -> bytes:
     return file.getvalue()[:end] + b"\x06" + struct.pack("<Q", len(body)) + body + file.getvalue()[end:]
 
 
-def part() -> bytes:
-    stream = zstd(HUGE)
-    values = {"version": 2, "name": "a", "vertices": HUGE // 12, "faces": 0, "places": 0, "dimensions": 1}
-    header = json.dumps({**values, "stream": len(stream)}).encode()
-    return struct.pack("<16sI", b"tactile-loc part", len(header)) + header + stream
-
-
-def table() -> bytes:
-    file, rows = io.BytesIO(), pa.table({"name": pa.array(np.zeros(HUGE // 8 // 32, np.int64))})
-    with parquet.ParquetWriter(file, rows.schema) as writer:
-        for _ in range(32):
-            writer.write_table(rows)
-    return file.getvalue()
-
-
 def gltf() -> bytes:
     accessors = [{"componentType": 5126, "count": HUGE // 12, "type": "VEC3"}]
     meshes = [{"primitives": [{"attributes": {"POSITION": 0}}]}]
@@ -189,7 +168,7 @@ FILES: dict[str, Callable[[], bytes]] = {
     "map.png": lambda: png(16, 0), "mask.png": lambda: png(8, 0), "photo.png": lambda: png(8, 2),
     "photo.tif": lambda: picture("TIFF", struct.pack("<HHLL", 256, 4, 1, 77), struct.pack("<HHLL", 256, 4, 1, 10**6)),
     "photo.jpg": lambda: picture("JPEG", struct.pack(">BHH", 8, 77, 77), struct.pack(">BHH", 8, 16000, 16000)),
-    "stated.mcap": lambda: mcap(HUGE), "lying.mcap": lambda: mcap(100), "a.part": part, "a.parquet": table,
+    "stated.mcap": lambda: mcap(HUGE), "lying.mcap": lambda: mcap(100),
     "lying.zip": lambda: zip_member("a", deflate(HUGE, -15), 10), "a.safetensors": safetensors,
     "a.stl": lambda: bytes(80) + struct.pack("<L", 2**32 - 1) + bytes(500), "a.gltf": gltf,
     "a.ply": lambda: ply("ascii"), "b.ply": lambda: ply("binary_little_endian"),

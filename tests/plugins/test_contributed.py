@@ -25,7 +25,7 @@ CONTRIBUTED = Path(__file__).parents[2] / "plugins_contrib"
 FOUND = sorted(path.parent.name for path in CONTRIBUTED.glob("*/pyproject.toml"))
 # Annexes add commands. They are installed from this tree, and `make test` runs their tests.
 ANNEXES = [name for name in FOUND if name in tactile_loc_cli.ANNEXES.values()]
-WITH_INNER_IMPORTS = {"tactile-loc-app", "tactile-loc-benchmark", "tactile-loc-library"}  # which still have to go
+WITH_INNER_IMPORTS = {"tactile-loc-benchmark"}  # which still have to go
 DISTRIBUTIONS = [name for name in FOUND if name not in ANNEXES]
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plugin"
 PUBLIC = ("tactile_loc.plugin", "tactile_loc.commands", "tactile_loc.testing")

@@ -16,6 +16,7 @@ from tactile_loc.io.approach_files import Approach
 from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.touch_files import LocatedFile
+from tactile_loc.planning.identification_files import IdentificationRecord, KnownObjectRecord, PoseRecord
 from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.planning.next_touch_files import write_next_touch
 from tactile_loc.reports.page import Page, render
@@ -25,7 +26,6 @@ from tactile_loc.reports.tasks import (
     make_identification_page,
     make_next_touch_page,
 )
-from tactile_loc.tasks.identify_files import IdentificationRecord, KnownObjectRecord, PoseRecord
 from tactile_loc.tracking.pose_modes import PoseModes
 
 EYE = np.eye(4).tolist()
@@ -56,7 +56,7 @@ def list_cells(page: Page) -> list[str]:
 def make_identification(touch, names: list[str]) -> Page:
     pose = PoseRecord(probability=1.0, T_sensor_object=EYE, imprint_iou=0.97)
     objects = [
-        KnownObjectRecord(name=name, probability=p, alike=1, rough_iou=1, misfit_nats=0.5, poses=[pose])
+        KnownObjectRecord(name=name, probability=p, misfit_nats=0.5, poses=[pose])
         for name, p in zip(names, (0.39, 0.31), strict=True)
     ]
     record = IdentificationRecord(

@@ -1,12 +1,14 @@
-"""`tactile-loc identify`: find which of several objects was touched, if any."""
+"""`tactile-loc identify`: find which of a few objects was touched, if any."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from tactile_loc.core.runtime.errors import ConfigError, ObjectError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
 from tactile_loc_cli.commands.next_touch import DRAWN, SEED, Around, Candidates, find_approaches
@@ -17,19 +19,19 @@ from tactile_loc_cli.options import RunOptions, declare
 if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.approach_files import Approach
+    from tactile_loc.io.config import RunConfig
+    from tactile_loc.locate.identify import Identification
+    from tactile_loc.locate.localizer import Localizer
     from tactile_loc.planning.next_touch import NextTouch
-    from tactile_loc.tasks.identify import Identification
+    from tactile_loc.store.store import StageStore
 
-DEFAULT_OUT = Path("tactile-loc-identify")
+LIBRARY = "library.json"  # the manifest of a library of parts, which another command reads
 NONE_OF_THESE = 1
 
-Objects = Annotated[
-    Path, declare("--objects FOLDER", "Folder of mesh files (stl, obj, step, glb, ...), or a library of parts.")
-]
+Objects = Annotated[Path, declare("--objects FOLDER", "Folder of mesh files (stl, obj, step, glb, ...).")]
 Touches = Annotated[
     str, declare("--touch FILE|LIST", "A touch file, or a list (.toml) of several touches of one object.")
 ]
-Located = Annotated[int, declare("--located N", "Most objects to locate: the most probable ones after a rough search.")]
 Unknown = Annotated[
     float,
     declare("--unknown SHARE", "Share of touched objects that are none of these, before any touch: above 0, below 1."),
@@ -47,13 +49,72 @@ Given = Annotated[
         symmetry="Rotational symmetry of every object, such as none or z6. Default: auto, detected for each object.",
     ),
 ]
+DEFAULT_OUT = Path("tactile-loc-identify")
+
+
+@dataclass(frozen=True)
+class IdentificationOutput:
+    """What a command that identifies touches returns, shows and writes: its options `--out`, `--report` and others.
+
+    With `around` or `candidates`, it also ranks the approaches that best separate the possible objects and their poses.
+    Raises OutputError if nothing can be written to `out`.
+    """
+
+    out: Path
+    candidates: Path | None = None
+    around: int | None = None
+    report: bool = False
+    require: str | None = None
+
+    def __post_init__(self) -> None:
+        require_writable(self.out)
+
+    def conclude(self, found: Identification, touches: Sequence[Touch]) -> dict[str, Any]:
+        """Show and write an identification of touches, and return the command's result.
+
+        Raises Finding if the verdict is not the required one, or if "none of these" is most probable.
+        """
+        from tactile_loc.io.approach_files import write_approaches
+        from tactile_loc.io.streams.records import write_record
+        from tactile_loc.planning.identification_files import make_identification_record
+        from tactile_loc_cli.results import say_identification
+
+        approaches, chosen = self._rate_approaches(found, touches)
+        record = make_identification_record(found, [one.name for one in touches], chosen)
+        say_identification(record, chosen)
+        files = [write_record(self.out / "identification.json", record)]
+        if self.around is not None and approaches:
+            files.append(write_approaches(self.out / DRAWN, approaches, touches[0].T_base_sensor is not None))
+        if self.report:
+            from tactile_loc.reports.report import DEFAULT_NAME, write_page
+            from tactile_loc.reports.tasks import make_identification_page
+
+            files.append(write_page(make_identification_page(record, touches), self.out / DEFAULT_NAME))
+        written = say_written(files)
+        result = {**record.model_dump(mode="json"), "written": written}
+        if self.require is not None and result["verdict"] != self.require:
+            raise Finding(NOT_AS_REQUIRED, result)
+        if record.identified is None:
+            raise Finding(NONE_OF_THESE, result)
+        return result
+
+    def _rate_approaches(
+        self, found: Identification, touches: Sequence[Touch]
+    ) -> tuple[Sequence[Approach], NextTouch | None]:
+        """Return the approaches and their ratings; none if none were asked for, or if no object is probable."""
+        from tactile_loc.planning.next_touch import choose_next_touch
+        from tactile_loc.tracking.pose_modes import PoseModes
+
+        if (self.candidates is None and self.around is None) or (modes := PoseModes.of_objects(found)) is None:
+            return [], None
+        approaches = find_approaches(self.candidates, self.around, SEED, modes, touches[0].T_base_sensor, None)
+        return approaches, choose_next_touch(modes, approaches)
 
 
 def identify(
     objects: Objects,
     touch: Touches,
     given: Given,
-    located: Located = 12,
     unknown: Unknown = 0.2,
     candidates: Candidates = None,
     around: Around = None,
@@ -66,50 +127,36 @@ def identify(
 
     The command also locates this object. Each object's model is built once and stored. The first line states the
     verdict and the probable objects. With --around or --candidates, the command also ranks the approaches that best
-    separate the possible objects and their poses. The exit code is 1 if "none of these" is most probable.
+    separate the possible objects and their poses. The exit code is 1 if "none of these" is most probable. For many
+    objects, use `library identify`, which is faster.
     """
-    from tactile_loc.io.approach_files import write_approaches
-    from tactile_loc.io.streams.records import write_record
+    from tactile_loc.locate.identify import identify as identify_touches
+    from tactile_loc.locate.probability.null_evidence import NullEvidence
     from tactile_loc.store.store import StageStore
-    from tactile_loc.tasks.identify import identify as identify_touches
-    from tactile_loc.tasks.identify_files import make_identification_record, read_library
-    from tactile_loc.tasks.null_evidence import NullEvidence
-    from tactile_loc_cli.results import say_identification
 
     null = NullEvidence(unknown)
     settings = options.make_config(replace(given, touch=touch))
-    library = read_library(objects, settings, StageStore(store), make_progress())
-    require_writable(out)
-    touches = [one for _, one in options.read_touches(library.models[0], Path(touch))]
-    found = identify_touches(touches, library, located, null)
-    approaches, chosen = _rate_approaches(found, touches, candidates, around)
-    record = make_identification_record(found, [one.name for one in touches], chosen)
-    say_identification(record, chosen)
-    files = [write_record(out / "identification.json", record)]
-    if around is not None and approaches:
-        files.append(write_approaches(out / DRAWN, approaches, touches[0].T_base_sensor is not None))
-    if report:
-        from tactile_loc.reports.report import DEFAULT_NAME, write_page
-        from tactile_loc.reports.tasks import make_identification_page
-
-        files.append(write_page(make_identification_page(record, touches), out / DEFAULT_NAME))
-    written = say_written(files)
-    result = {**record.model_dump(mode="json"), "written": written}
-    if require is not None and result["verdict"] != require:
-        raise Finding(NOT_AS_REQUIRED, result)
-    if record.identified is None:
-        raise Finding(NONE_OF_THESE, result)
-    return result
+    models = _open_models(objects, settings, StageStore(store))
+    output = IdentificationOutput(out, candidates, around, report, require)
+    touches = [one for _, one in options.read_touches(models[0], Path(touch))]
+    return output.conclude(identify_touches(touches, models, null), touches)
 
 
-def _rate_approaches(
-    found: Identification, touches: Sequence[Touch], candidates: Path | None, around: int | None
-) -> tuple[Sequence[Approach], NextTouch | None]:
-    """Return the approaches and their ratings; none if none were asked for, or if no object is probable."""
-    from tactile_loc.planning.next_touch import choose_next_touch
+def _open_models(folder: Path, config: RunConfig, store: StageStore) -> list[Localizer]:
+    """Return a localizer for each mesh file in a folder. `config` has all their settings except the object.
 
-    if (candidates is None and around is None) or (modes := found.modes) is None:
-        return [], None
-    T_base_sensor = touches[0].T_base_sensor
-    approaches = find_approaches(candidates, around, SEED, modes, T_base_sensor, None)
-    return approaches, choose_next_touch(modes, approaches)
+    Raises ObjectError if there is no such folder, or no mesh in it, and ConfigError if the folder is a library.
+    """
+    from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.locate.stored_object import list_mesh_files, load_stored_object
+
+    if (folder / LIBRARY).exists():
+        raise ConfigError(f"{folder} is a library of parts; run tactile-loc library identify {folder} --touch ...")
+    if not os.path.isdir(folder):
+        raise ObjectError(f"there is no folder {folder}; give one with a mesh file for each object")
+    models = []
+    for path in list_mesh_files(folder):
+        chosen = config.object.model_copy(update={"path": str(path)})
+        obj = load_stored_object(path, chosen.units, chosen.symmetry, store)
+        models.append(Localizer(config.model_copy(update={"object": chosen}), obj, store, make_progress()))
+    return models

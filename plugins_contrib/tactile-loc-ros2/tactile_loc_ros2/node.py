@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc import Library, LocatedFrame, TactileLocError, Verdict
+from tactile_loc import Localizer, LocatedFrame, TactileLocError, Verdict
 from tactile_loc.plugin import ConfigError, MissingLibraryError
 
 from tactile_loc_ros2.frames import LiveFrames, read_stamp_ns
@@ -87,7 +87,7 @@ class TactileLocNode:
     """
 
     def __init__(
-        self, node: Any, ros: Ros, options: NodeOptions, locator: ImageLocator, library: Library | None = None
+        self, node: Any, ros: Ros, options: NodeOptions, locator: ImageLocator, library: Sequence[Localizer] = ()
     ) -> None:
         self._node, self._options, self._locator = node, options, locator
         self._frames = LiveFrames(options.tf_keep_s, options.object_frame)
@@ -281,12 +281,15 @@ def declare_options(node: Any, given: Mapping[str, Any]) -> NodeOptions:
     return NodeOptions.of(values)
 
 
-def build(options: NodeOptions) -> tuple[ImageLocator, Library | None]:
-    """Make the locator and the library. Models are built and functions compiled now, which may take minutes."""
+def build(options: NodeOptions) -> tuple[ImageLocator, list[Localizer]]:
+    """Make the locator, and the localizers of the objects to identify.
+
+    Models are built and functions compiled now, which may take minutes.
+    """
     localizer, others = options.make_localizers()
     for one in (localizer, *others):
         one.localize(one.simulate(1)[0])
-    library = Library([localizer, *others]) if others else None
+    library = [localizer, *others] if others else []
     locator = ImageLocator(localizer, options.press_depth_m, required=options.required, track=options.track)
     return locator, library
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from tactile_loc import (
     Approach,
-    Library,
     Localization,
     Localizer,
     LocatedFrame,
@@ -65,7 +64,7 @@ class TouchSet:
     """
 
     def __init__(
-        self, localizer: Localizer, library: Library | None = None, approaches: str = "", approach_count: int = 200,
+        self, localizer: Localizer, library: Sequence[Localizer] = (), approaches: str = "", approach_count: int = 200,
         most: int = 8,
     ) -> None:  # fmt: skip
         self._localizer, self._library, self._most = localizer, library, most
@@ -154,7 +153,7 @@ class TouchSet:
         return replace(reply, found=found)
 
     def _identify(self) -> Reply:
-        if self._library is None:
+        if not self._library:
             raise ConfigError("there are no objects to identify; give their mesh files in the option library")
         if not self._touches:
             raise TouchError("there is no touch; call add_touch while the sensor touches the object")

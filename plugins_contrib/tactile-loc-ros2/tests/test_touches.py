@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tactile_loc import Approach, Library, Localizer, NoContactError
+from tactile_loc import Approach, Localizer, NoContactError
 
 from tactile_loc_ros2.touches import TouchSet, view_in_base
 
@@ -123,7 +123,7 @@ def test_approaches_come_from_a_file(localizer, two, tmp_path):
 @pytest.mark.slow
 def test_the_touched_object_is_identified():
     models = [Localizer.create(name, sensor="gelslim") for name in ("pin", "head")]
-    touches = TouchSet(models[0], Library(models))
+    touches = TouchSet(models[0], models)
     assert "no touch" in error_of(touches.identify())
     for k, touch in enumerate(models[1].simulate_together(2, seed=1)):
         add(touches, touch, k)

@@ -10,12 +10,12 @@ patch, which is a height map of the surface around the place. A patch does not d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Poses, align_all_to_z, make_transform, rotation_about
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
@@ -44,6 +44,16 @@ class Places:
 
     T_place_object: Poses
     patches: NDArray[np.uint8]
+
+    @classmethod
+    def at(cls, placements: NDArray[np.floating[Any]], patches: NDArray[np.uint8]) -> Self:
+        """Return the places at `placements` (N, 6), as the property. Each is seen without a turn about its direction.
+
+        The rotation that maps the direction to +z is the smallest one.
+        """
+        position_m, direction = np.split(placements.astype(float), 2, axis=1)
+        R = align_all_to_z(direction)
+        return cls(make_transform(R, -np.einsum("nij,nj->ni", R, position_m)), patches)
 
     def __len__(self) -> int:
         return len(self.patches)
@@ -178,28 +188,3 @@ def _fill_pixels(runs, changes, pixels):
                 pixels[i] = value & 255
                 change += 1
         pixel = end
-
-
-def differentiate(patches: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the differences, modulo 256, of patches (N, S, S) along both axes."""
-    zero = np.uint8(0)
-    return np.diff(np.diff(patches, axis=1, prepend=zero), axis=2, prepend=zero)
-
-
-def integrate(differences: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the patches (N, S, S) with these differences along both axes, modulo 256."""
-    patches = np.empty_like(differences)
-    _add_up(differences, patches)
-    return patches
-
-
-@njit
-def _add_up(differences, patches):
-    N, H, W = differences.shape
-    for n in range(N):
-        for i in range(H):
-            total = np.uint8(0)
-            for j in range(W):
-                total = np.uint8(total + differences[n, i, j])
-                above = patches[n, i - 1, j] if i > 0 else np.uint8(0)
-                patches[n, i, j] = np.uint8(total + above)

@@ -263,3 +263,11 @@ def relate_sensors(first: Touch, touch: Touch) -> NDArray[np.float64]:
     if touch is first:
         return np.eye(4)
     return invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
+
+
+def compute_full_evidence(touch: Touch) -> float:
+    """Return the evidence, nats, for a pose whose contact is exactly the touch's contact."""
+    geometry, shape = touch.thin(IOU_PX)
+    seen = shape.depth_m
+    fully = compare_imprints(seen[None], seen, shape.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m)
+    return float(fully.evidence[0])

@@ -7,7 +7,7 @@ and their imprint IoUs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from tactile_loc.bases.common_poses import compute_prior_weights
 from tactile_loc.core.geometry.rigid import Poses, make_transform
-from tactile_loc.core.places.places import CAMERA, HIGHEST_M, Places
+from tactile_loc.core.places.places import CAMERA, HIGHEST_M
+from tactile_loc.core.places.touch_bounds import bound_touch
 from tactile_loc.core.poses.merging import suppress_non_maxima
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
 from tactile_loc.core.registration.prior_factors import draw_around, fit_prior_factors
 from tactile_loc.core.runtime.progress import StageTimes
-from tactile_loc.core.runtime.turns import pause_before, split_into_turns
-from tactile_loc.core.sensing.gel_surface import SLACK
+from tactile_loc.core.runtime.turns import pause_before
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compute_imprint_ious
@@ -35,14 +35,12 @@ from tactile_loc.locate.sources.stored_places import PlaceBanks
 from tactile_loc.slots.encoder import Encoder
 
 SEARCH_VERSION = 9
-MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
 FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
 SPREAD = 2.0  # grid spacings between half of the poses moved to several touches; nearer ones mostly lead to one pose
-# rotated places that are scored, chosen by their scores, and compared with the surface of an elastic gel, in one turn
-SCORED, CHOSEN, COMPARED = 700_000, 40_000, 20_000
+SCORED, CHOSEN = 700_000, 40_000  # rotated places that are scored, and chosen by their scores, in one turn
 DRAWN = 64  # poses drawn around the prior's peak
 MOST_UNEXPLAINED = 0.2  # loss of mean imprint IoU beyond which a pose is dropped that only the prior chose
 SAMPLED = 16  # one score out of this many is looked at to estimate how high the highest scores are
@@ -262,53 +260,6 @@ def encode_rotated(
     depths_m, known = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad, touch.find_known(cut_m))
     cut_depths_m = np.minimum(depths_m, np.float32(cut_m))
     return make_transform(R_sensor_gel, anchor_m), encoder.encode_seen(cut_depths_m, known, cut_m, CAMERA)
-
-
-@dataclass(frozen=True, eq=False)
-class TouchBounds:
-    """The bounds of a touch for the surface of a place, for each of M yaws by which a place may be rotated.
-
-    `low_m` and `high_m` (M, PATCH_PX, PATCH_PX), metres, and `most_m` are as for `measure_excess`. The yaws are about
-    the z axis of the frame at the touch's deepest point, `T_sensor_anchor` (4, 4), metres.
-    """
-
-    T_sensor_anchor: Poses
-    low_m: Scores
-    high_m: Scores
-    most_m: float
-
-    def measure_excess(self, places: Places, numbers: NDArray[np.int64], yaws: NDArray[np.int64]) -> Scores:
-        """Return how far rotated places leave the bounds (K,), square metres: see `measure_excess`.
-
-        Pair k is the place `numbers[k]` at the yaw number `yaws[k]`.
-        """
-        from tactile_loc.core.places.rotated_patches import measure_excess
-
-        return np.concatenate(
-            [
-                measure_excess(places, numbers[some], yaws[some], self.low_m, self.high_m, self.most_m)
-                for some in split_into_turns(len(numbers), COMPARED)
-            ]
-        )
-
-
-def bound_touch(touch: Touch, yaws_rad: NDArray[np.float64]) -> TouchBounds:
-    """Return the bounds of what an elastic gel shows, at M yaws.
-
-    Where the gel touches, a place must be at the gel's surface. Elsewhere, it must be beyond the surface.
-    """
-    from tactile_loc.core.places.rotated_patches import find_anchor, rotate_patches
-
-    anchor_m, R_sensor_gel = find_anchor(touch)
-    surface_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad)
-    contact = touch.geometry.observed_mask & touch.touching_shape.contact
-    touching = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad, contact)[1]
-    far = np.float32(np.inf)
-    beyond_m = surface_m - np.float32(SLACK * touch.indentation_m)
-    low_m = np.where(touching, surface_m, np.where(seen, beyond_m, -far))
-    high_m = np.where(touching, surface_m, far)
-    T_sensor_anchor = make_transform(R_sensor_gel, anchor_m)
-    return TouchBounds(T_sensor_anchor, low_m, high_m, MOST_EXCESS * touch.indentation_m)
 
 
 def find_highest(scores: Scores, count: int) -> tuple[NDArray[np.int64], ...]:

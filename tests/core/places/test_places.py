@@ -13,8 +13,6 @@ from tactile_loc.core.places.places import (
     STEP_M,
     Places,
     average_patches,
-    differentiate,
-    integrate,
     join_patches,
     make_patches,
     split_patches,
@@ -176,11 +174,3 @@ def test_a_pixel_in_too_many_cells_is_refused(cells):
     for rows, columns in ((weights, np.ones((1, 4), np.float32)), (np.ones((1, 4), np.float32), weights)):
         with pytest.raises(ValueError, match="cells"):
             average_patches(patches, signal, rows, columns)
-
-
-@pytest.mark.parametrize("shape", [(5, 7, 7), (1, 1, 1), (0, 7, 7)])
-def test_patches_are_found_again_from_their_differences(shape):
-    patches = np.random.default_rng(2).integers(0, 256, shape).astype(np.uint8)
-    differences = differentiate(patches)
-    assert np.array_equal(integrate(differences), patches)
-    assert np.array_equal(np.cumsum(np.cumsum(differences, 1, np.uint8), 2, np.uint8), patches)

@@ -1,0 +1,201 @@
+"""Identification finds the right object in any order, rejects an unknown one, and locates a single one."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+from message_helpers import naming
+
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.runtime.errors import ConfigError, ObjectError, StoreError, TouchError
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.config import RunConfig
+from tactile_loc.locate import identify as module
+from tactile_loc.locate.identify import LEAST_REPORTED, Identification, KnownObject, identify, measure_misfits
+from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.probability.null_evidence import NullEvidence
+from tactile_loc.locate.probability.probabilities import FusedScaling, Scalings, TemperatureScaling
+from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.store.store import StageStore
+
+FEW = {"name": "whole", "directions": 300, "turns": 24}
+
+CLEAN = NullEvidence(prior=0.1, noise=1.0)  # of touches without noise
+
+
+def solids() -> dict[str, trimesh.Trimesh]:
+    """Return a plate, a rod and a ring, which all look different."""
+    return {
+        "plate": trimesh.creation.box((0.03, 0.02, 0.006)),
+        "rod": trimesh.creation.cylinder(0.004, 0.04, sections=32),
+        "ring": trimesh.creation.annulus(0.006, 0.011, 0.008, sections=32),
+    }
+
+
+@pytest.fixture(scope="module")
+def models(make_object, store) -> list[Localizer]:
+    config = RunConfig.from_dict({"grid": FEW, "sensor": "gelsight-mini", "temperature": 0.05})
+    declared = {"plate": "x2*y2", "rod": "zinf*x2", "ring": "zinf*x2"}
+    return [Localizer(config, make_object(s, declared[n], n), store) for n, s in solids().items()]
+
+
+@pytest.fixture(scope="module")
+def touches(models) -> dict[str, list]:
+    """Return two touches of each object, from another renderer."""
+    raycast, rng = RaycastRenderer(), np.random.default_rng(3)
+    return {
+        model.object.name: RobotTouches(model.object, model.scene.geometry, raycast, (0.7, 0.9)).draw_example(2, rng)[0]
+        for model in models
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(solids()))
+def test_touches_identify_their_object(models, touches, name):
+    said = identify(touches[name], models, null=CLEAN)
+    assert said.best is not None
+    assert said.best.name == name
+    assert sum(one.probability for one in said.objects) + said.none == pytest.approx(1.0)
+    assert said.best.misfit == min(one.misfit for one in said.objects)
+    assert said.verdict == Verdict.CERTAIN
+    assert max(said.floors) < 0.5, "clean touches have no misfit separately"
+
+
+@pytest.mark.parametrize("name", list(solids()))
+def test_touches_of_an_unknown_object_are_rejected(models, touches, name):
+    said = identify(touches[name], [model for model in models if model.object.name != name], null=CLEAN)
+    assert said.best is None
+    assert said.none > 0.5
+    assert said.verdict != Verdict.CERTAIN
+
+
+def test_the_order_of_objects_does_not_matter(models, touches):
+    one, other = (identify(touches["ring"][:1], some) for some in (models, models[::-1]))
+    assert [o.name for o in one.objects] == [o.name for o in other.objects]
+    assert [o.probability for o in one.objects] == [o.probability for o in other.objects]
+
+
+def test_a_single_object_has_the_result_of_a_localisation(models, touches):
+    said = identify(touches["plate"], models[:1])
+    alone = localize_together([(models[0], touch) for touch in touches["plate"]])
+    assert np.array_equal(said.objects[0].found.best.T_sensor_object, alone.best.T_sensor_object)
+
+
+@pytest.fixture
+def unfitted(models) -> list[Localizer]:
+    """Return localizers without a given temperature, sorted by the names of their objects."""
+    config = models[0].config.model_copy(update={"temperature": None})
+    ordered = sorted(models, key=lambda model: model.object.name)
+    return [Localizer(config, model.object, model.store) for model in ordered]
+
+
+def test_probabilities_are_fitted_only_to_probable_objects(unfitted, touches, monkeypatch):
+    asked: set[str] = set()
+    fitted = Scalings(TemperatureScaling(0.05), FusedScaling())
+    monkeypatch.setattr(Localizer, "probabilities", property(lambda self: asked.add(self.object.name) or fitted))
+    said = identify(touches["ring"], unfitted, null=CLEAN)
+    probable = {one.name for one in said.objects if one.probability >= LEAST_REPORTED}
+    assert asked == probable == {"ring"}
+    assert {one.name for one in said.objects if one.fitted} == probable
+    alone = localize_together([(unfitted[1], touch) for touch in touches["ring"]])
+    assert unfitted[1].object.name == "ring"
+    assert said.objects[0].found.best.probability == alone.best.probability
+    asked.clear()
+    doubtful = dataclasses.replace(CLEAN, prior=0.5)
+    assert identify(touches["ring"], unfitted[:1], null=doubtful).best is None
+    assert asked == set()
+
+
+def test_an_object_that_becomes_probable_by_the_fits_is_fitted_too(unfitted, touches, monkeypatch):
+    asked: list[str] = []
+    fitted, misfits = Scalings(TemperatureScaling(0.05), FusedScaling()), {"ring": 0.0, "plate": 3.0, "rod": 9.0}
+
+    def compare(model: Localizer, _: object) -> np.ndarray:
+        name = model.object.name
+        return np.full((1, 2), (50.0 if name == "ring" and name in asked else misfits[name]) / 2)
+
+    monkeypatch.setattr(Localizer, "probabilities", property(lambda self: asked.append(self.object.name) or fitted))
+    monkeypatch.setattr(module, "measure_misfits", compare)
+    said = identify(touches["ring"], unfitted, null=NullEvidence(gap=5.0, temperature=0.5))
+    assert list(dict.fromkeys(asked)) == ["ring", "plate"]
+    assert [(one.name, one.misfit, one.fitted) for one in said.objects] == [
+        ("plate", 3.0, True), ("rod", 9.0, False), ("ring", 50.0, True),
+    ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_misfits_hardly_depend_on_the_scalings(models, unfitted, touches):
+    for name, seen in touches.items():
+        for some in (seen, seen[:1]):
+            given, typical = (
+                {one.name: one.misfit for one in identify(some, library, null=NullEvidence(prior=1 - 1e-9)).objects}
+                for library in (models, unfitted)
+            )
+            assert typical[name] == pytest.approx(given[name], abs=0.1)
+            assert min(typical, key=typical.get) == min(given, key=given.get) == name
+
+
+@pytest.mark.slow
+def test_a_probable_object_has_probabilities_fitted_to_it(unfitted, touches, tmp_path):
+    store = StageStore(tmp_path)
+    library = [Localizer(model.config, model.object, store) for model in unfitted]
+    said = identify(touches["ring"], library, null=CLEAN)
+    built = [key.stage for key in store.built]
+    assert (built.count("temperature"), built.count("fused-temperature")) == (1, 1)
+    alone = localize_together([(library[1], touch) for touch in touches["ring"]])
+    assert [h.probability for h in said.objects[0].found.hypotheses] == [h.probability for h in alone.hypotheses]
+
+
+def test_several_touches_need_the_poses_of_their_sensors(models, touches):
+    lost = [dataclasses.replace(touch, T_base_sensor=None) for touch in touches["ring"]]
+    with pytest.raises(ConfigError, match=naming("touch 1", "T_base_sensor")):
+        identify(lost, models)
+
+
+def test_a_pose_that_explains_the_whole_touch_has_no_misfit(models, touches):
+    touch = touches["plate"][0]
+    found = models[0].localize(touch)
+    exact = dataclasses.replace(found.best.refined, T_sensor_object=np.asarray(touch.T_sensor_object))
+    true = dataclasses.replace(found, hypotheses=(dataclasses.replace(found.best, refined=exact),))
+    assert measure_misfits(models[0], true).sum() < 0.5
+    turned = np.asarray(touch.T_sensor_object) @ make_transform(rotation_about([0, 0, 1], 0.3), np.zeros(3))
+    wrong = dataclasses.replace(found.best, refined=dataclasses.replace(exact, T_sensor_object=turned))
+    assert measure_misfits(models[0], dataclasses.replace(found, hypotheses=(wrong,))).sum() > 0.5
+
+
+def test_the_verdict_judges_the_first_object(models, touches):
+    found = models[0].localize(touches["plate"][0])
+    poor = dataclasses.replace(found, hypotheses=(dataclasses.replace(found.best, imprint_iou=0.3),))
+
+    def judge(p: float, none: float, result) -> Verdict:
+        return Identification((KnownObject("plate", p, 0.5, result),), none).verdict
+
+    assert judge(0.95, 0.05, found) == Verdict.CERTAIN
+    assert judge(0.6, 0.4, found) == Verdict.AMBIGUOUS
+    assert judge(0.3, 0.7, found) == Verdict.NOT_FOUND
+    assert judge(0.95, 0.05, poor) == Verdict.POOR_FIT
+    assert judge(0.0, 1.0, None) == Verdict.NOT_FOUND
+
+
+def test_a_full_store_is_an_error_and_not_a_misfit(models, monkeypatch):
+    def full(*_: object, **__: object) -> None:
+        raise StoreError("full")
+
+    monkeypatch.setattr(module, "localize_together", full)
+    with pytest.raises(StoreError, match="full"):
+        module._locate(models[0], [])
+
+
+def test_invalid_touches_and_models_are_refused(models, touches):
+    with pytest.raises(ObjectError):
+        identify(touches["plate"], [])
+    with pytest.raises(ObjectError, match=naming("'pin'", "Localizer.create")):
+        identify(touches["plate"], ["pin", "hook"])
+    with pytest.raises(ObjectError, match="plate"):
+        identify(touches["plate"], [models[0], models[0]])
+    with pytest.raises(TouchError):
+        identify([], models)
