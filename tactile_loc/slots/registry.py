@@ -119,7 +119,7 @@ Spec = TypeVar("Spec", ComponentSpec, CommandSpec)
 
 
 @dataclass(frozen=True)
-class Registered(Generic[Spec]):
+class Offer(Generic[Spec]):
     """A component or a command that a distribution offers."""
 
     spec: Spec
@@ -142,8 +142,8 @@ class Registry:
     """
 
     def __init__(self, plugins: Iterable[EntryPoint]) -> None:
-        self.components: list[Registered[ComponentSpec]] = []
-        self.commands: list[Registered[CommandSpec]] = []
+        self.components: list[Offer[ComponentSpec]] = []
+        self.commands: list[Offer[CommandSpec]] = []
         self.failures: list[LoadFailure] = []
         self.kinds: dict[str, ComponentKind | None] = dict.fromkeys(SLOTS)  # slots have no ComponentKind
         self._classes: dict[ComponentSpec, Any] = {}
@@ -156,7 +156,7 @@ class Registry:
             with self._keep_failure(name, distribution):
                 for component in components:
                     self._require_component_spec(component)
-                self.components += [Registered(spec, distribution) for spec in components]
+                self.components += [Offer(spec, distribution) for spec in components]
 
     @contextmanager
     def _keep_failure(self, plugin: str, distribution: str) -> Iterator[None]:
@@ -181,7 +181,7 @@ class Registry:
         for command in commands:
             _require_command_spec(command)
         self.kinds |= kinds
-        self.commands += [Registered(spec, distribution) for spec in commands]
+        self.commands += [Offer(spec, distribution) for spec in commands]
         return components
 
     def _require_component_spec(self, spec: Any) -> None:
@@ -212,11 +212,11 @@ class Registry:
             )
         target = f"{kind.__module__}:{kind.__qualname__}"
         spec = ComponentSpec(slot, name, target, summary, interface=INTERFACE_VERSION)
-        self.components = [*others, Registered(spec, ADDED)]
+        self.components = [*others, Offer(spec, ADDED)]
         self._classes[spec] = kind
 
     @property
-    def offers(self) -> list[Registered[Any]]:
+    def offers(self) -> list[Offer[Any]]:
         """All components and commands, in the order found."""
         return [*self.components, *self.commands]
 
@@ -224,15 +224,15 @@ class Registry:
         """Return the names of a slot's components, or of the commands, in the order found."""
         return list(dict.fromkeys(c.spec.name for c in self.offers if c.spec.slot == slot))
 
-    def find(self, slot: str, name: str) -> Registered[ComponentSpec]:
+    def find(self, slot: str, name: str) -> Offer[ComponentSpec]:
         """Return the component with this slot and name. Raises UnknownPluginError or PluginConflictError."""
         return self._choose([c for c in self.components if (c.spec.slot, c.spec.name) == (slot, name)], slot, name)
 
-    def find_command(self, name: str) -> Registered[CommandSpec]:
+    def find_command(self, name: str) -> Offer[CommandSpec]:
         """Return the command with this name. Raises UnknownPluginError or PluginConflictError."""
         return self._choose([c for c in self.commands if c.spec.name == name], COMMAND, name)
 
-    def _choose(self, found: Sequence[Registered[Spec]], slot: str, name: str) -> Registered[Spec]:
+    def _choose(self, found: Sequence[Offer[Spec]], slot: str, name: str) -> Offer[Spec]:
         """Return the only one that was found. Raises UnknownPluginError or PluginConflictError."""
         if not found:
             raise UnknownPluginError(self._describe_unknown(slot, name))
@@ -259,7 +259,7 @@ class Registry:
             self._classes[found.spec] = self._import_component(found)
         return self._classes[found.spec]
 
-    def _import_component(self, found: Registered[ComponentSpec]) -> Any:
+    def _import_component(self, found: Offer[ComponentSpec]) -> Any:
         slot = found.spec.slot
 
         def require(kind: Any) -> None:
@@ -268,7 +268,7 @@ class Registry:
 
         return _import_target(found, require)
 
-    def load_command(self, found: Registered[CommandSpec]) -> Any:
+    def load_command(self, found: Offer[CommandSpec]) -> Any:
         """Import and return a command's function or typer application.
 
         Raises PluginLoadError or MissingLibraryError.
@@ -281,7 +281,7 @@ class Registry:
         return kind(validate_options(kind.Options, options or {}, f"the {slot} {name!r}"))
 
 
-def _import_target(found: Registered[Any], require: Callable[[Any], None]) -> Any:
+def _import_target(found: Offer[Any], require: Callable[[Any], None]) -> Any:
     """Import and return the target of a spec, which `require` checks.
 
     Raises PluginLoadError or MissingLibraryError.

@@ -12,7 +12,7 @@ import pytest
 from cli_helpers import HANGS_S
 from message_helpers import missing
 from tactile_loc_cli.doctor import checks
-from tactile_loc_cli.doctor.checks import LIBRARIES, Check, Library, Probe, State, attempt, examine
+from tactile_loc_cli.doctor.checks import LIBRARIES, Dependency, Diagnosis, Probe, State, attempt, examine
 
 from tactile_loc import __version__
 from tactile_loc.slots import registry as registry_module
@@ -60,7 +60,7 @@ def test_the_checked_libraries_include_the_main_dependencies():
     assert not {"torch", "pyrender", "pyarrow"} & required
 
 
-ABSENT = Library("no_such_module_here", ("no-such-thing",), "the renderer nobody", "pip install no-such-thing")
+ABSENT = Dependency("no_such_module_here", ("no-such-thing",), "the renderer nobody", "pip install no-such-thing")
 
 
 def test_a_missing_library_is_named_with_its_install_command(cli, libraries, tmp_path):
@@ -122,7 +122,7 @@ def test_a_hanging_library_is_stopped(module):
 def test_a_library_that_fails_to_load_names_the_system_package(cli, libraries, module, monkeypatch):
     name = module("raise ImportError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')")
     monkeypatch.setattr(checks.shutil, "which", lambda _: "/usr/bin/apt-get")
-    libraries(Library(name, ("numpy",), "tests", "pip install numpy", True))
+    libraries(Dependency(name, ("numpy",), "tests", "pip install numpy", True))
     done = cli("doctor", "--json")
     (check,) = [check for check in json.loads(done.stdout)["checks"] if check["name"] == name]
     assert (check["state"], check["remedy"]) == ("broken", "sudo apt-get install libusb-1.0-0")
@@ -218,7 +218,7 @@ def test_the_package_table_matches_the_script():
 
 
 def test_a_check_is_written_as_json():
-    check = Check("a", State.OK, "b", facts={"cores": 2})
+    check = Diagnosis("a", State.OK, "b", facts={"cores": 2})
     expected = {"name": "a", "state": "ok", "says": "b", "remedy": "", "required": False, "cores": 2}
     assert json.loads(json.dumps(check.record())) == expected
 

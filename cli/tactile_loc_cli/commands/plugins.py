@@ -16,7 +16,7 @@ from tactile_loc_cli.options import declare, require_slot, set_option
 
 if TYPE_CHECKING:
     from tactile_loc.slots.component import Component
-    from tactile_loc.slots.registry import Registered, Registry
+    from tactile_loc.slots.registry import Offer, Registry
 
 BROKEN_CONTRACT = 1
 
@@ -89,10 +89,10 @@ def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
     return {"components": components, "commands": commands, "conflicts": conflicts, "not_loaded": failures}
 
 
-def _describe(registered: Registered[Any]) -> dict[str, Any]:
+def _describe(offer: Offer[Any]) -> dict[str, Any]:
     """Return what a spec states about a component or a command."""
-    spec = registered.spec
-    about = {"slot": spec.slot, "name": spec.name, "distribution": registered.distribution, "summary": spec.summary}
+    spec = offer.spec
+    about = {"slot": spec.slot, "name": spec.name, "distribution": offer.distribution, "summary": spec.summary}
     return about if spec.slot == COMMAND else {**about, "interface": spec.interface}
 
 
@@ -104,7 +104,7 @@ def _say_interface(component: dict[str, Any]) -> None:
         say("interface: the {slot} {name!r} of {distribution} {reason}".format(reason=reason, **component))
 
 
-def _find_conflicts(components: Sequence[Registered[Any]]) -> list[dict[str, Any]]:
+def _find_conflicts(components: Sequence[Offer[Any]]) -> list[dict[str, Any]]:
     distributions: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for c in components:
         distributions[c.spec.slot, c.spec.name].append(c.distribution)
@@ -164,9 +164,9 @@ def _check(found: Registry, slot: str, name: str, words: list[str], properties: 
     """Run the contract checks of a component or a command. Raises Finding if a check fails."""
     from tactile_loc.testing.running import iter_checks
 
-    registered: Registered[Any] = found.find_command(name) if slot == COMMAND else found.find(slot, name)
-    about = _describe(registered)
-    checked = registered.spec if slot == COMMAND else _make(found, slot, name, words)
+    offer: Offer[Any] = found.find_command(name) if slot == COMMAND else found.find(slot, name)
+    about = _describe(offer)
+    checked = offer.spec if slot == COMMAND else _make(found, slot, name, words)
     say(_format_heading(about))
     checks = []
     for result in iter_checks(checked, properties):

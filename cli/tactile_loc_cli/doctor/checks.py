@@ -32,7 +32,7 @@ class State(StrEnum):
 
 
 @dataclass(frozen=True)
-class Check:
+class Diagnosis:
     """A finding. `says` describes it, `remedy` advises what to do, and `facts` are JSON values in SI units."""
 
     name: str
@@ -58,10 +58,10 @@ class Probe:
     """A function `look` that returns findings. It may raise any exception."""
 
     name: str
-    look: Callable[[], Iterable[Check]]
+    look: Callable[[], Iterable[Diagnosis]]
     required: bool = False
 
-    def run(self) -> list[Check]:
+    def run(self) -> list[Diagnosis]:
         """Return the findings. If `look` fails, return its failure as the finding."""
         try:
             return list(self.look())
@@ -69,7 +69,7 @@ class Probe:
             reason = str(error)
         except Exception as error:  # noqa: BLE001 - a broken library may raise anything, and other probes must run
             reason = f"{type(error).__name__}: {error}"
-        return [Check(self.name, State.BROKEN, reason, required=self.required)]
+        return [Diagnosis(self.name, State.BROKEN, reason, required=self.required)]
 
 
 TIMEOUT_S = 90.0
@@ -135,22 +135,22 @@ DRIVER = "libgl1-mesa-dri"  # Mesa's drivers, which need no GPU
 DRIVER_PATTERNS = ("lib/dri/*_dri.so", "lib64/dri/*_dri.so", "lib/*/dri/*_dri.so", "lib/*/libgallium-*.so")
 
 
-def check_shared_libraries() -> Iterator[Check]:
+def check_shared_libraries() -> Iterator[Diagnosis]:
     """Find missing shared libraries. Nothing is checked on other systems than Linux."""
     if sys.platform != "linux":
         return
     outcome = attempt("shared-libraries", *PACKAGES)
     if outcome.failure:
-        yield Check("system libraries", State.BROKEN, outcome.failure)
+        yield Diagnosis("system libraries", State.BROKEN, outcome.failure)
         return
     for library in outcome.facts["missing"]:
         user = USERS.get(library, "open3d")
-        yield Check(library, State.MISSING, f"{user} needs it", advise_install(PACKAGES[library]))
+        yield Diagnosis(library, State.MISSING, f"{user} needs it", advise_install(PACKAGES[library]))
     if not has_egl_driver():
         remedy = advise_install(DRIVER)
-        yield Check("EGL driver", State.MISSING, "the renderer pyrender needs one, Mesa's or NVIDIA's", remedy)
+        yield Diagnosis("EGL driver", State.MISSING, "the renderer pyrender needs one, Mesa's or NVIDIA's", remedy)
     if not outcome.facts["missing"]:
-        yield Check("system libraries", State.OK, "all found")
+        yield Diagnosis("system libraries", State.OK, "all found")
 
 
 def has_egl_driver() -> bool:
@@ -178,7 +178,7 @@ LOW_DISK = "too little for models of large grids, which take gigabytes"
 
 
 @dataclass(frozen=True)
-class Library:
+class Dependency:
     """A library. `module` is imported, `distributions` are its possible names for pip, and `serves` says what needs it.
 
     `install` is the advice for a missing library.
@@ -193,9 +193,9 @@ class Library:
     repair: str = ""  # advice for a library that is installed but does not work; default: reinstall it
 
 
-def _require(module: str, *distributions: str, trial: str = "import", serves: str = "") -> Library:
+def _require(module: str, *distributions: str, trial: str = "import", serves: str = "") -> Dependency:
     names = distributions or (module,)
-    return Library(module, names, serves or "needed by everything", f"pip install {names[0]}", True, trial)
+    return Dependency(module, names, serves or "needed by everything", f"pip install {names[0]}", True, trial)
 
 
 LIBRARIES = (
@@ -213,7 +213,7 @@ LIBRARIES = (
     _require(
         "open3d", "open3d-cpu", "open3d", trial="open3d", serves="the renderer raycast, the refiner icp, pictures"
     ),
-    Library(
+    Dependency(
         "pyrender",
         ("pyrender",),
         "the renderer pyrender",
@@ -221,24 +221,26 @@ LIBRARIES = (
         trial="egl",
         repair=advise_install("libegl1 libgl1-mesa-dri"),
     ),
-    Library(
+    Dependency(
         "torch",
         ("torch",),
         "the encoder moco, and sensors that read images",
         "pip install 'tactile-loc[learned]'",
         trial="torch",
     ),
-    Library("safetensors", ("safetensors",), "learned models", "pip install 'tactile-loc[learned]'"),
-    Library("kiss_icp", ("kiss-icp",), "the refiner kiss-icp", "pip install 'tactile-loc[kiss]'"),
-    Library("small_gicp", ("small-gicp",), "the plugin tactile-loc-small-gicp", "pip install small-gicp"),
-    Library("distributed", ("distributed",), "jobs on a Dask cluster", "pip install 'tactile-loc[sweep]'"),
-    Library("mcap", ("mcap",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
-    Library("rosbags", ("rosbags",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
-    Library("pyarrow", ("pyarrow",), "sweep tables as Parquet, libraries of parts", "pip install 'tactile-loc[sweep]'"),
+    Dependency("safetensors", ("safetensors",), "learned models", "pip install 'tactile-loc[learned]'"),
+    Dependency("kiss_icp", ("kiss-icp",), "the refiner kiss-icp", "pip install 'tactile-loc[kiss]'"),
+    Dependency("small_gicp", ("small-gicp",), "the plugin tactile-loc-small-gicp", "pip install small-gicp"),
+    Dependency("distributed", ("distributed",), "jobs on a Dask cluster", "pip install 'tactile-loc[sweep]'"),
+    Dependency("mcap", ("mcap",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
+    Dependency("rosbags", ("rosbags",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
+    Dependency(
+        "pyarrow", ("pyarrow",), "sweep tables as Parquet, libraries of parts", "pip install 'tactile-loc[sweep]'"
+    ),
 )
 
 
-def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> list[Check]:
+def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> list[Diagnosis]:
     """Run all checks, `workers` at a time, and return their findings. Never raises.
 
     With `compiling`, the code that locates objects is also compiled.
@@ -256,15 +258,15 @@ def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> li
         return [check for checks in pool.map(Probe.run, probes) for check in checks]
 
 
-def _check_versions() -> list[Check]:
+def _check_versions() -> list[Diagnosis]:
     version = metadata.version("tactile-loc")
     python, system = platform.python_version(), f"{_name_system()}, {platform.machine()}"
     state = State.OK if sys.version_info >= PYTHON else State.BROKEN
     remedy = "" if state is State.OK else f"use Python {PYTHON[0]}.{PYTHON[1]} or newer"
     return [
-        Check("tactile-loc", State.OK, version, required=True, facts={"version": version}),
-        Check("python", state, f"{python} in {sys.prefix}", remedy, True, {"version": python}),
-        Check("system", State.OK, system, facts={"system": system}),
+        Diagnosis("tactile-loc", State.OK, version, required=True, facts={"version": version}),
+        Diagnosis("python", state, f"{python} in {sys.prefix}", remedy, True, {"version": python}),
+        Diagnosis("system", State.OK, system, facts={"system": system}),
     ]
 
 
@@ -275,39 +277,39 @@ def _name_system() -> str:
         return f"{platform.system()} {platform.release()}"
 
 
-def _check_machine() -> list[Check]:
+def _check_machine() -> list[Diagnosis]:
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
     nbytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     says = f"{format_count(cores, 'CPU core')}, {nbytes / 1e9:.3g} GB of memory"
-    return [Check("machine", State.OK, says, facts={"cores": cores, "memory_bytes": nbytes})]
+    return [Diagnosis("machine", State.OK, says, facts={"cores": cores, "memory_bytes": nbytes})]
 
 
-def _check_library(library: Library) -> list[Check]:
+def _check_library(library: Dependency) -> list[Diagnosis]:
     """Check that a library is installed and works."""
     version = _find_version(library.distributions)
     serves = library.serves if library.required else f"optional, for {library.serves}"
     if version is None and (failed := attempt("import", library.module)).failure:
         state = State.MISSING if "No module named" in failed.failure else State.BROKEN
-        return [Check(library.module, state, serves, library.install, library.required)]
+        return [Diagnosis(library.module, state, serves, library.install, library.required)]
     outcome = attempt(library.trial, *([library.module] if library.trial == "import" else []))
     facts = {"version": version, **{k: v for k, v in outcome.facts.items() if k != "says"}}
     if outcome.failure:
         remedy = find_remedy(outcome.failure, library.repair or f"{library.install} --force-reinstall")
         says = f"{outcome.failure} ({serves})"
-        return [Check(library.module, State.BROKEN, says, remedy, library.required, facts)]
+        return [Diagnosis(library.module, State.BROKEN, says, remedy, library.required, facts)]
     says = ", ".join(filter(None, [version, outcome.facts.get("says")]))
-    return [Check(library.module, State.OK, says, required=library.required, facts=facts)]
+    return [Diagnosis(library.module, State.OK, says, required=library.required, facts=facts)]
 
 
-def _compile_kernels() -> Check:
+def _compile_kernels() -> Diagnosis:
     """Compile and try the code that locates objects."""
     outcome = attempt("kernels", timeout_s=COMPILE_S)
     if outcome.failure:
         remedy = find_remedy(outcome.failure, "run `tactile-loc -vv run` for details")
-        return Check("kernels", State.BROKEN, outcome.failure, remedy, required=True)
+        return Diagnosis("kernels", State.BROKEN, outcome.failure, remedy, required=True)
     facts = {"seconds": outcome.facts["seconds"]}
-    return Check("kernels", State.OK, str(outcome.facts["says"]), required=True, facts=facts)
+    return Diagnosis("kernels", State.OK, str(outcome.facts["says"]), required=True, facts=facts)
 
 
 def _find_version(distributions: Sequence[str]) -> str | None:
@@ -319,7 +321,7 @@ def _find_version(distributions: Sequence[str]) -> str | None:
     return None
 
 
-def _check_plugins() -> Iterator[Check]:
+def _check_plugins() -> Iterator[Diagnosis]:
     from tactile_loc.slots.registry import BUILT_IN, registry
 
     found = registry()
@@ -327,16 +329,16 @@ def _check_plugins() -> Iterator[Check]:
     facts = {"components": len(found.components), "distributions": distributions}
     if BUILT_IN in distributions:
         says = f"{len(found.components)} components of {', '.join(distributions)}"
-        yield Check("plugins", State.OK, says, required=True, facts=facts)
+        yield Diagnosis("plugins", State.OK, says, required=True, facts=facts)
     else:
         remedy = "pip install --force-reinstall --no-deps tactile-loc"
-        yield Check("plugins", State.BROKEN, "the built-in components are not registered", remedy, True, facts)
+        yield Diagnosis("plugins", State.BROKEN, "the built-in components are not registered", remedy, True, facts)
     for failure in found.failures:
         remedy = f"update or uninstall {failure.distribution}"
-        yield Check(f"plugin {failure.plugin}", State.BROKEN, f"of {failure.distribution}: {failure.error}", remedy)
+        yield Diagnosis(f"plugin {failure.plugin}", State.BROKEN, f"of {failure.distribution}: {failure.error}", remedy)
 
 
-def _check_store(folder: Path | None) -> Check:
+def _check_store(folder: Path | None) -> Diagnosis:
     from tactile_loc.core.runtime.formatting import format_bytes
     from tactile_loc.store.store import StageStore
 
@@ -347,10 +349,12 @@ def _check_store(folder: Path | None) -> Check:
         with tempfile.TemporaryFile(dir=existing):
             pass
     except OSError as error:
-        return Check("store", State.BROKEN, f"{root} cannot be written ({error.strerror})", remedy, True)
+        return Diagnosis("store", State.BROKEN, f"{root} cannot be written ({error.strerror})", remedy, True)
     nbytes, free = sum(entry.nbytes for entry in StageStore(folder).entries()), shutil.disk_usage(existing).free
     says = f"{root} holds {format_bytes(nbytes)}; {format_bytes(free)} are free on its disk"
     facts = {"folder": str(root), "bytes": nbytes, "free_bytes": free}
     if free < LITTLE_DISK_B:
-        return Check("store", State.OK, f"{says} ({LOW_DISK})", f"tactile-loc store prune, or {remedy}", True, facts)
-    return Check("store", State.OK, says, required=True, facts=facts)
+        return Diagnosis(
+            "store", State.OK, f"{says} ({LOW_DISK})", f"tactile-loc store prune, or {remedy}", True, facts
+        )
+    return Diagnosis("store", State.OK, says, required=True, facts=facts)

@@ -10,7 +10,7 @@ from tactile_loc_cli.failures import UNEXPECTED, Finding
 from tactile_loc_cli.options import Store, declare
 
 if TYPE_CHECKING:
-    from tactile_loc_cli.doctor.checks import Check
+    from tactile_loc_cli.doctor.checks import Diagnosis
 
 
 def doctor(
@@ -39,7 +39,7 @@ def doctor(
     return result
 
 
-def _report(checks: Sequence[Check]) -> None:
+def _report(checks: Sequence[Diagnosis]) -> None:
     rows = [
         [str(check.state), check.name, f"{check.says}; {check.remedy}" if check.remedy else check.says]
         for check in checks
