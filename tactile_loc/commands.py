@@ -4,6 +4,8 @@ A package that adds commands to `tactile-loc` imports this module in the modules
 commands with `CommandSpec` and `hookimpl` of `tactile_loc.plugin`. Names are imported at their first use.
 """
 
+# ruff: noqa: I001 - names are grouped by purpose
+
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
@@ -11,52 +13,40 @@ from typing import TYPE_CHECKING
 from tactile_loc.core.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
-    # identification: shared options, and what the commands show and write
-    from tactile_loc_cli.commands.identify import IdentificationOutput as IdentificationOutput
-    from tactile_loc_cli.commands.next_touch import Around as Around
-    from tactile_loc_cli.commands.next_touch import Candidates as Candidates
-
-    # output on the terminal
-    from tactile_loc_cli.console import complain as complain
-    from tactile_loc_cli.console import format_count as format_count
-    from tactile_loc_cli.console import make_progress as make_progress
-    from tactile_loc_cli.console import say as say
-    from tactile_loc_cli.console import say_table as say_table
-    from tactile_loc_cli.console import say_written as say_written
-
-    # failures: a TactileLocError ends the command with exit code 2, a Finding with a result and an exit code
-    from tactile_loc_cli.failures import NOT_AS_REQUIRED as NOT_AS_REQUIRED
-    from tactile_loc_cli.failures import UNEXPECTED as UNEXPECTED
-    from tactile_loc_cli.failures import USAGE_ERROR as USAGE_ERROR
-    from tactile_loc_cli.failures import Finding as Finding
-
     # options: a parameter of type Annotated[RunOptions, Takes("object", ...)] becomes the options named there
-    from tactile_loc_cli.options import Report as Report
-    from tactile_loc_cli.options import Require as Require
-    from tactile_loc_cli.options import RunOptions as RunOptions
-    from tactile_loc_cli.options import Store as Store
-    from tactile_loc_cli.options import Takes as Takes
+    from tactile_loc_cli.options import RunOptions as RunOptions, Takes as Takes
+    from tactile_loc_cli.options import Report as Report, Require as Require, Store as Store
     from tactile_loc_cli.options import declare as declare
     from tactile_loc_cli.options import make_config as make_config
     from tactile_loc_cli.options import open_localizer as open_localizer
     from tactile_loc_cli.options import read_touches as read_touches
 
-    # workers of commands that run many jobs
-    from tactile_loc_cli.workers import Processes as Processes
-    from tactile_loc_cli.workers import Scheduler as Scheduler
-    from tactile_loc_cli.workers import choose_workers as choose_workers
-
     # results go to stdout, all else to stderr; with --json, only the dictionary that a command returns is written
+    from tactile_loc_cli.console import complain as complain, make_progress as make_progress
+    from tactile_loc_cli.console import say as say, say_table as say_table, say_written as say_written
+    from tactile_loc_cli.console import format_count as format_count
     from tactile_loc.core.runtime.errors import fold_line as fold_line
-    from tactile_loc.core.runtime.formatting import format_bytes as format_bytes
-    from tactile_loc.core.runtime.formatting import format_mm as format_mm
+    from tactile_loc.core.runtime.formatting import format_bytes as format_bytes, format_mm as format_mm
     from tactile_loc.core.runtime.formatting import format_percent as format_percent
 
-    # files, which are written completely or not at all
-    from tactile_loc.locate.stored_object import list_mesh_files as list_mesh_files
+    # failures: a TactileLocError ends the command with exit code 2, a Finding with a result and an exit code
+    from tactile_loc_cli.failures import Finding as Finding
+    from tactile_loc_cli.failures import NOT_AS_REQUIRED as NOT_AS_REQUIRED
+    from tactile_loc_cli.failures import UNEXPECTED as UNEXPECTED, USAGE_ERROR as USAGE_ERROR
+
+    # workers of commands that run many jobs
+    from tactile_loc_cli.workers import Processes as Processes, Scheduler as Scheduler
+    from tactile_loc_cli.workers import choose_workers as choose_workers
+
+    # identification, and the choice of the next touch
+    from tactile_loc_cli.commands.identify import IdentificationOutput as IdentificationOutput
+    from tactile_loc_cli.commands.next_touch import Around as Around, Candidates as Candidates
 
     # which requests a local web server answers
     from tactile_loc.reports.access import Access as Access
+
+    # files, which are written completely or not at all
+    from tactile_loc.locate.stored_object import list_mesh_files as list_mesh_files
     from tactile_loc.store.files import remove_abandoned as remove_abandoned
     from tactile_loc.store.files import replace_file as replace_file
     from tactile_loc.store.files import replace_folder as replace_folder
