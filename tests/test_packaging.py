@@ -15,10 +15,12 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
+from tactile_loc_cli import ANNEXES
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = ROOT / "scripts"
 PROJECT = "tactile-loc"
+MAKEFILE = (ROOT / "Makefile").read_text()
 MACHINE_SPECIFIC = re.compile(r"/(home|work|opt|root|Users|mnt|tmp)/|file:|https?://\S*/simple|index-url|find-links")
 
 
@@ -84,7 +86,22 @@ def test_the_command_and_the_plugin_group_are_installed():
     installed = metadata.distribution(PROJECT).entry_points
     (script,) = installed.select(group="console_scripts", name=PROJECT)
     assert script.value == "tactile_loc_cli.main:main"
-    assert "tactile_loc.plugins" in [point.value for point in installed.select(group="tactile_loc")]
+    assert {"tactile_loc.plugins", "tactile_loc_cli"} <= {
+        point.value for point in installed.select(group="tactile_loc")
+    }
+
+
+def test_the_annexes_are_installed_checked_and_tested_from_this_tree():
+    names = " ".join(sorted(ANNEXES))
+    assert f"$(foreach name,{names},plugins_contrib/tactile-loc-$(name)/pyproject.toml)" in MAKEFILE
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
+    tested = {path for pattern in settings["pytest"]["ini_options"]["testpaths"] for path in ROOT.glob(pattern)}
+    for distribution in ANNEXES.values():
+        assert ROOT / "plugins_contrib" / distribution / "tests" in tested
+        package = distribution.replace("-", "_")
+        assert f"plugins_contrib/{distribution}/{package}" in settings["mypy"]["files"]
+        assert any(f"{package}.*" in override["module"] for override in settings["mypy"]["overrides"])
+        assert f"plugins_contrib/{distribution}" in (SCRIPTS / "smoke-wheel.sh").read_text()
 
 
 @pytest.mark.parametrize(
