@@ -56,7 +56,8 @@ def test_no_message_of_the_library_names_a_flag():
     found = {
         str(path.relative_to(LIBRARY)): flags
         for path in LIBRARY.rglob("*.py")
-        if (flags := find_flags(path.read_text()))
+        if path.parent.name != "testing"  # contract checks name the flags that they require
+        and (flags := find_flags(path.read_text()))
     }
     assert found == {}
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tactile_loc_app.session import Session, place_above
-from tactile_loc_app.shared_localizers import SharedLocalizers
-
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.store.store import StageStore
 
+from tactile_loc_app.session import Session, place_above
+from tactile_loc_app.shared_localizers import SharedLocalizers
+
 with pytest.MonkeyPatch.context() as patch:
-    patch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    patch.syspath_prepend(Path(__file__).parents[3] / "benchmarks")
     app = importlib.import_module("app")
 
 
