@@ -20,21 +20,22 @@ NEAR_PLANE_MM = 0.1  # for a point less than this beside its triangle, the dista
 
 
 @njit(fast=True)
-def build_equations(T_each, problem, every, scale, A, b):
+def build_equations(T_each, observed, triangles, samples, weighing, A, b):
     """Fill A (N, 6, 6), b (N, 6) for twists u that make poses T_each (N, 4, 4) explain N touches better.
 
-    The twists solve A u = b. `problem` is a `gauss_newton.Touched`. One point out of `every` is used. `scale`, mm, is
-    the scale of the robust weights. If the points of all touches have a larger misfit than the noise, their weights are
-    reduced accordingly. Returns the misfit: the sum of squared distances of points and samples, mm^2, divided by the
-    number of points. An outlier counts as GROSS_MM.
+    The twists solve A u = b. `weighing` has three numbers: the scale of the robust weights, mm; how many points there are
+    for each point that is used; and the noise, mm. If the points of all touches have a larger misfit than the noise,
+    their weights are reduced accordingly. Returns the misfit: the sum of squared distances of points and samples, mm^2,
+    divided by the number of points. An outlier counts as GROSS_MM.
     """
+    scale, every, noise = weighing
     A[:], b[:] = 0.0, 0.0
     squares = weights = inside = 0.0
     for i in range(len(T_each)):
-        squared, weight = add_seen(i, T_each[i], problem, every, scale, A[i], b[i])
-        inside += add_kept_out(i, T_each[i], problem, every, scale, A[i], b[i])
+        squared, weight = add_seen(i, T_each[i], observed, triangles, (scale, every), A[i], b[i])
+        inside += add_kept_out(i, T_each[i], observed, samples, (scale, every), A[i], b[i])
         squares, weights = squares + squared, weights + weight
-    surer = min(1.0, problem.noise * problem.noise * weights / max(squares, 1e-30))
+    surer = min(1.0, noise * noise * weights / max(squares, 1e-30))
     for i in range(len(T_each)):
         for m in range(6):
             b[i, m] *= surer
@@ -45,12 +46,12 @@ def build_equations(T_each, problem, every, scale, A, b):
 
 
 @njit(fast=True)
-def add_seen(i, T, problem, every, scale, A, b):
+def add_seen(i, T, observed, triangles, weighing, A, b):
     """Add the equations of touch i's points: each must lie on a part of the object's surface that faces the same way.
 
     Returns two sums over the points: of weighted squared distances, mm^2, and of weights.
     """
-    observed, triangles = problem.observed, problem.triangles
+    scale, every = weighing
     points, normals, weights, slacks = observed.points, observed.normals, observed.weights, observed.slack
     corners, faces = triangles.corners, triangles.normals
     c0, c1, c2 = observed.centres[i, 0], observed.centres[i, 1], observed.centres[i, 2]
@@ -96,12 +97,12 @@ def add_seen(i, T, problem, every, scale, A, b):
 
 
 @njit(fast=True)
-def add_kept_out(i, T, problem, every, scale, A, b):
+def add_kept_out(i, T, observed, samples, weighing, A, b):
     """Add the equations of surface samples that reach deeper into the gel than touch i shows.
 
     Returns the sum of their weighted squared distances, mm^2.
     """
-    observed, samples = problem.observed, problem.samples
+    scale, every = weighing
     camera, images = observed.cameras[i], observed.images
     pinhole, fx, fy, cx, cy, gel = camera[0] > 0.0, camera[1], camera[2], camera[3], camera[4], camera[5]
     left, right, top, bottom, sample_weight = camera[6], camera[7], camera[8], camera[9], camera[10]

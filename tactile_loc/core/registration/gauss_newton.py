@@ -187,21 +187,27 @@ def register_poses(first, last, moving, problem, schedule, factors):
     count, known = moving.T_each.shape[1], len(factors.T) > 0
     A, b, H, g = np.empty((count, 6, 6)), np.empty((count, 6)), np.empty((6, 6)), np.empty((6, 1))
     scales, equations = schedule.scales, (A, b, H, g)
+    # each access to a part of a tuple counts references of all arrays in it, so this is not done in the loop
+    observed, triangles, samples, noise = problem.observed, problem.triangles, problem.samples, problem.noise
+    frames = problem.T_sensor_first, observed.centres, problem.middle, problem.spread
+    peaks, information = factors.T, factors.information
     for k in range(first, last):
         T, T_each = moving.T[k], moving.T_each[k]
         every = schedule.stride
-        damping = DAMPING_WITH_PRIOR if known and factors.information[k].any() else DAMPING
+        damping = DAMPING_WITH_PRIOR if known and information[k].any() else DAMPING
         for number in range(len(scales)):
             if number + schedule.finely >= len(scales):
                 every = 1
-            moving.misfit[k] = build_equations(T_each, problem, every, scales[number], A, b)
+            moving.misfit[k] = build_equations(
+                T_each, observed, triangles, samples, (scales[number], every, noise), A, b
+            )
             H[:], g[:] = 0.0, 0.0
             if damping < DAMPING:
-                add_factor(T, factors.T[k], factors.information[k], problem.middle, H, g)
+                add_factor(T, peaks[k], information[k], problem.middle, H, g)
             if count == 1:
-                moving.moved[k] = step_to_one(T, T_each, equations, problem, moving.parts[k], damping)
+                moving.moved[k] = step_to_one(T, T_each, equations, frames, moving.parts[k], damping)
             else:
-                moving.moved[k] = step_to_all(T, T_each, equations, problem, moving.parts[k], damping)
+                moving.moved[k] = step_to_all(T, T_each, equations, frames, moving.parts[k], damping)
             if scales[number] == scales[-1] and moving.moved[k] < SETTLED_MM:
                 if every == 1 or schedule.finely == 0:
                     break
@@ -223,14 +229,15 @@ def add_factor(T, peak, information, middle, H, g):
 
 
 @njit(fast=True)
-def step_to_one(T, T_each, equations, problem, parts, damping):
+def step_to_one(T, T_each, equations, frames, parts, damping):
     """Take the step of `step_to_all` for one touch. Return its length, mm.
 
     One touch cannot separate its own error from the object's pose, so only the pose moves.
     """
     A, b, H, g = equations
-    middle, T_sensor_first, Ad = problem.middle, problem.T_sensor_first, np.empty((6, 6))
-    fill_change(T_each[0], T_sensor_first[0], problem.observed.centres[0], middle, Ad)
+    T_sensor_first, centres, middle, _ = frames
+    Ad = np.empty((6, 6))
+    fill_change(T_each[0], T_sensor_first[0], centres[0], middle, Ad)
     parts[:] = 0.0
     add_transformed(Ad, A[0], parts[0])
     add_turned(Ad, b[0], g)
@@ -242,7 +249,7 @@ def step_to_one(T, T_each, equations, problem, parts, damping):
 
 
 @njit(fast=True)
-def step_to_all(T, T_each, equations, problem, parts, damping):
+def step_to_all(T, T_each, equations, frames, parts, damping):
     """Take one step of the object's pose T (4, 4) and of its poses T_each (N, 4, 4). Return its length, mm.
 
     Touch i gives the equations A u = b for a twist u of its pose in T_each. Its present error is e. Its new error s
@@ -251,8 +258,7 @@ def step_to_all(T, T_each, equations, problem, parts, damping):
     the matrix H (6, 6) and the right side g (6, 1).
     """
     A, b, H, g = equations
-    centres, middle = problem.observed.centres, problem.middle
-    T_sensor_first, spread = problem.T_sensor_first, problem.spread
+    T_sensor_first, centres, middle, spread = frames
     count = len(T_each)
     Ad, left, M = np.empty((count, 6, 6)), np.empty((count, 6, 7)), np.empty((6, 6))
     e, s, nominal = np.empty(6), np.empty(6), np.empty((4, 4))
