@@ -27,7 +27,7 @@ from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.core.sensing.noise import Float32, Gel, TouchNoise
+from tactile_loc.core.sensing.noise import Float32, GelPixels, TouchNoise
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
@@ -139,7 +139,7 @@ class UnseenNoise(TouchNoise):
         """
         press = np.asarray(press_depth_m, np.float32)[:, None, None]
         noisy = np.minimum(np.asarray(depth_m, np.float32), press)
-        gel = Gel.of(geometry)
+        gel = GelPixels.of(geometry)
         depth = noisy[:, gel.rows, gel.columns]  # a view
         contact = depth < press
         drifted = np.clip(depth + self._draw_drift(len(depth), gel, rng), 0, np.nextafter(press, np.float32(0)))
@@ -148,7 +148,7 @@ class UnseenNoise(TouchNoise):
         np.copyto(depth, press * shown, where=~contact & (lots < self.salt))
         return noisy
 
-    def _draw_drift(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32:
+    def _draw_drift(self, count: int, gel: GelPixels, rng: np.random.Generator) -> Float32:
         """Return random quadratic surfaces (count, H, W) of standard deviation `tilt_m` over the gel, metres."""
         x, y = (2 * (a - a.mean()) / max(np.ptp(a), 1e-12) for a in (gel.x_m, gel.y_m))
         X, Y = np.meshgrid(x, y)

@@ -27,7 +27,7 @@ from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.core.sensing.noise import NOISE, Gel, TouchNoise
+from tactile_loc.core.sensing.noise import NOISE, GelPixels, TouchNoise
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -153,7 +153,7 @@ class _Judge:
 
 def _blur_gently(depths_m: Float32, geometry: SensorGeometry) -> Float64:
     """Return contact depths (N, H, W), metres, blurred by BLUR_M on the gel, at the observed pixels: (N, P)."""
-    gel = Gel.of(geometry)
+    gel = GelPixels.of(geometry)
     blurred = gel.blur(depths_m[:, gel.rows, gel.columns], BLUR_M)
     return blurred[:, geometry.observed_mask[gel.rows, gel.columns]].astype(float)
 

@@ -23,10 +23,10 @@ NEAR_PLANE_MM = 0.1  # for a point less than this beside its triangle, the dista
 def build_equations(T_each, observed, triangles, samples, weighing, A, b):
     """Fill A (N, 6, 6), b (N, 6) for twists u that make poses T_each (N, 4, 4) explain N touches better.
 
-    The twists solve A u = b. `weighing` has three numbers: the scale of the robust weights, mm; how many points there are
-    for each point that is used; and the noise, mm. If the points of all touches have a larger misfit than the noise,
-    their weights are reduced accordingly. Returns the misfit: the sum of squared distances of points and samples, mm^2,
-    divided by the number of points. An outlier counts as GROSS_MM.
+    The twists solve A u = b. `weighing` has three numbers: the scale of the robust weights, mm; how many points there
+    are for each point that is used; and the noise, mm. If the points of all touches have a larger misfit than the
+    noise, their weights are reduced accordingly. Returns the misfit: the sum of squared distances of points and
+    samples, mm^2, divided by the number of points. An outlier counts as GROSS_MM.
     """
     scale, every, noise = weighing
     A[:], b[:] = 0.0, 0.0

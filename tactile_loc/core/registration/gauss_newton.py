@@ -44,7 +44,7 @@ NO_FACTORS = PriorFactors(np.empty((0, 4, 4)), np.empty((0, 6, 6)))
 
 
 class Moving(NamedTuple):
-    """K poses while they are moved: the first two and the last three arrays of `Registered`, without correction."""
+    """K poses while they are moved: the arrays of `RegisteredPoses`, of which `T` is not corrected."""
 
     T: Floats
     T_each: Floats
@@ -77,7 +77,7 @@ class Schedule(NamedTuple):
     stride: int
 
 
-class Registered(NamedTuple):
+class RegisteredPoses(NamedTuple):
     """The registered poses of an object.
 
     `T` (K, 4, 4) are its poses in the first sensor's frame. `T_each` (K, N, 4, 4) are its poses in the frame of each
@@ -115,7 +115,7 @@ class RegistrationProblem:
     samples: Blocks
     middle: Floats
 
-    def register(self, T: Floats, schedule: Schedule, factors: PriorFactors = NO_FACTORS) -> Registered:
+    def register(self, T: Floats, schedule: Schedule, factors: PriorFactors = NO_FACTORS) -> RegisteredPoses:
         """Move poses T (K, 4, 4), in the first sensor's frame, so that they explain all touches.
 
         `factors` (K), with lengths in mm, are those of a prior. They refer to twists of the object from a peak.
@@ -130,17 +130,17 @@ class RegistrationProblem:
         for some in split_into_turns(count, A_TURN / (steps * len(T_sensor_first))):
             part, near = Moving(*(array[some] for array in moving)), PriorFactors(*(array[some] for array in factors))
             run_in_threads(register_poses, len(part.T), part, touched, schedule, near)
-        return Registered(self._view_from_first(T, moving.T_each[:, 0]), moving.T_each, T, moved, misfit, parts)
+        return RegisteredPoses(self._view_from_first(T, moving.T_each[:, 0]), moving.T_each, T, moved, misfit, parts)
 
     def inform(self, T: Floats, parts: Floats) -> Floats:
-        """Return the information (K, 6, 6) about twists of `Registered.T`.
+        """Return the information (K, 6, 6) about twists of `RegisteredPoses.T`.
 
-        T (K, 4, 4) are the poses `Registered.T_reported`, and `parts` (K, 2, 6, 6) their information.
+        T (K, 4, 4) are the poses `RegisteredPoses.T_reported`, and `parts` (K, 2, 6, 6) their information.
         """
         return self._marginalise_first(parts, T, self.press[0], self.sensor[0])
 
     def inform_reported(self, T: Floats, parts: Floats) -> Floats:
-        """Return the information (K, 6, 6) about twists of `Registered.T_reported`, given what `inform` is given."""
+        """Return the information (K, 6, 6) about `RegisteredPoses.T_reported`, given what `inform` is given."""
         return self._marginalise_first(parts, T, self.press[0] + self.sensor[0], np.zeros(6))
 
     def _marginalise_first(self, parts: Floats, T: Floats, own: Floats, others: Floats) -> Floats:

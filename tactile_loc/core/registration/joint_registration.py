@@ -25,7 +25,13 @@ from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.registration.gauss_newton import NO_FACTORS, SETTLED_MM, Registered, RegistrationProblem, Schedule
+from tactile_loc.core.registration.gauss_newton import (
+    NO_FACTORS,
+    SETTLED_MM,
+    RegisteredPoses,
+    RegistrationProblem,
+    Schedule,
+)
 from tactile_loc.core.registration.observations import MILLI, observe
 from tactile_loc.core.registration.prior_factors import PriorFactors, fit_prior_factors
 from tactile_loc.core.runtime.options import ComponentOptions
@@ -193,7 +199,7 @@ class _Found:
     """Poses of the object registered to touches."""
 
     problem: RegistrationProblem
-    registered: Registered
+    registered: RegisteredPoses
 
     @cached_property
     def T_first_object(self) -> Poses:  # noqa: N802 - the field's name

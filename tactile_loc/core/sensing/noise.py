@@ -39,7 +39,7 @@ class Centres(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Gel:
+class GelPixels:
     """The pixels on the sensing rectangle: their `rows` and `columns` in the image, and their centres.
 
     `x_m` (W,) and `y_m` (H,) are the centres on the undeformed surface. `pitch_m` are the pixel's sizes along x and y.
@@ -54,7 +54,7 @@ class Gel:
     rectangle_m: tuple[float, float, float, float]
 
     @classmethod
-    def of(cls, geometry: SensorGeometry) -> Gel:
+    def of(cls, geometry: SensorGeometry) -> GelPixels:
         """Return the gel's pixels: those that see the undeformed surface inside the sensing rectangle."""
         sx, sy = geometry.scale_at_surface
         x = (np.arange(geometry.width_px, dtype=np.float64) + 0.5 - geometry.cx) / sx
@@ -115,7 +115,7 @@ class Gel:
 
 def stamp(
     depth: Float32,
-    gel: Gel,
+    gel: GelPixels,
     centres: Centres,
     radius_m: Float64,
     value_m: NDArray[np.floating[Any]],
@@ -266,7 +266,7 @@ class TouchNoise:
         """
         press = np.asarray(press_depth_m, np.float32)[:, None, None]
         noisy = np.minimum(np.asarray(depth_m, np.float32), press)
-        gel = Gel.of(geometry)
+        gel = GelPixels.of(geometry)
         depth = noisy[:, gel.rows, gel.columns]  # a view of `noisy`, so that writing to it changes `noisy`
         if self.smoothing_m > 0:
             depth[...] = np.maximum(press - gel.blur(press - depth, self.smoothing_m), 0.0)
@@ -290,7 +290,7 @@ class TouchNoise:
         press, measured = (np.asarray(p, np.float32)[:, None, None] for p in (press_depth_m, measured_m))
         return np.where(depth_m < np.minimum(press, measured), depth_m, measured)
 
-    def _draw_threshold(self, count: int, gel: Gel, rng: np.random.Generator) -> Float32 | np.float32:
+    def _draw_threshold(self, count: int, gel: GelPixels, rng: np.random.Generator) -> Float32 | np.float32:
         """Draw the least imprint, metres, that the sensor sees: one number, or (count, H, W) if it varies."""
         least = np.float32(self.least_m)
         if self.edge_m == 0:
@@ -298,7 +298,7 @@ class TouchNoise:
         wander = gel.draw_field(count, self.edge_patch_m, rng)
         return np.maximum(least + np.float32(self.edge_m) * wander, np.float32(FAINTEST) * least)
 
-    def _add_patches(self, depth: Float32, press: Float32, gel: Gel, rng: np.random.Generator) -> None:
+    def _add_patches(self, depth: Float32, press: Float32, gel: GelPixels, rng: np.random.Generator) -> None:
         """Remove round patches of contact from depths (N, H, W), cut at `press` (N, 1, 1), metres; add false ones."""
         if self.missing > 0:
             centres = gel.draw_pixels(depth < press, rng.poisson(self.missing, len(depth)), rng)

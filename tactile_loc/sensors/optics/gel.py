@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.core.sensing.noise import Gel
+from tactile_loc.core.sensing.noise import GelPixels
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
 Float32 = NDArray[np.float32]
@@ -60,7 +60,7 @@ def press_gel(
         )
     if not (math.isfinite(softness_m) and softness_m >= 0):
         raise ConfigError(f"the gel's softness_m is {softness_m}; it must be zero or positive")
-    gel = Gel.of(geometry)
+    gel = GelPixels.of(geometry)
     surface = np.zeros_like(contact)
     pushed = contact[:, gel.rows, gel.columns]
     if softness_m > 0:
@@ -69,7 +69,7 @@ def press_gel(
     return surface
 
 
-def relax(contact_m: Float32, gel: Gel, softness_m: float) -> Float32:
+def relax(contact_m: Float32, gel: GelPixels, softness_m: float) -> Float32:
     """Return the indentation (N, h, w), metres, of a gel in which an object has the indentation `contact_m` (N, h, w).
 
     The gel's indentation is nowhere smaller than that of the object.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.core.sensing.noise import Gel
+from tactile_loc.core.sensing.noise import GelPixels
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.optics.lamps import Light, Optics
 
@@ -59,7 +59,7 @@ def measure_slopes(indentation_m: Float32, geometry: SensorGeometry) -> tuple[Fl
 
     The slopes are zero outside the sensing rectangle.
     """
-    gel = Gel.of(geometry)
+    gel = GelPixels.of(geometry)
     slope_x, slope_y = np.zeros_like(indentation_m), np.zeros_like(indentation_m)
     inside = indentation_m[:, gel.rows, gel.columns]
     for slopes, axis, pitch_m in ((slope_x, 2, gel.pitch_m[0]), (slope_y, 1, gel.pitch_m[1])):
@@ -73,7 +73,7 @@ class _Field:
 
     def __init__(self, geometry: SensorGeometry) -> None:
         self.geometry = geometry
-        whole = Gel.of(dataclasses.replace(geometry, rectangle_m=None))
+        whole = GelPixels.of(dataclasses.replace(geometry, rectangle_m=None))
         x0, x1, y0, y1 = geometry.rectangle
         radius_m = math.hypot(x1 - x0, y1 - y0) / 2
         self.x = ((whole.x_m - (x0 + x1) / 2) / radius_m).astype(np.float32)[None, :]

@@ -9,7 +9,7 @@ from message_helpers import naming
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.core.sensing.noise import Gel
+from tactile_loc.core.sensing.noise import GelPixels
 from tactile_loc.sensors.optics.gel import find_indentation, press_gel, relax
 
 SOFTNESS_M = 8e-4
@@ -38,12 +38,12 @@ def test_relaxing_never_lifts_the_contact(softness_m):
     geometry = sensor()
     bumps = gaussian_filter(rng_bumps(), (0, 2, 2))
     contact = np.maximum(bumps, 0).astype(np.float32)
-    surface = relax(contact, Gel.of(geometry), softness_m)
+    surface = relax(contact, GelPixels.of(geometry), softness_m)
     assert (surface >= contact).all()
     assert surface.max() <= contact.max() * (1 + 1e-5)
     tip = find_indentation(tip_depth(geometry), presses())
     touching = tip > 0
-    assert relax(tip, Gel.of(geometry), softness_m)[touching] == pytest.approx(tip[touching], rel=1e-5)
+    assert relax(tip, GelPixels.of(geometry), softness_m)[touching] == pytest.approx(tip[touching], rel=1e-5)
 
 
 def rng_bumps() -> np.ndarray:
