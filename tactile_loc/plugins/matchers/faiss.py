@@ -11,6 +11,7 @@ from pydantic import Field
 
 from tactile_loc.plugin import Capabilities, ComponentOptions, Float32, Matcher
 
+LINKS = 32  # hnsw: neighbours of each node
 ROWS_A_LIST = 39  # rows that faiss needs to train one inverted list
 
 
@@ -29,7 +30,6 @@ class FaissMatcher(Matcher):
 
         kind: Literal["flat", "hnsw", "ivf"] = Field(default="flat", description="exact, graph, or inverted lists")
         top_k: int = Field(default=1000, ge=1, description="poses scored for each query; others count as impossible")
-        links: int = Field(default=32, ge=4, le=128, description="hnsw: neighbours of each node")
         effort: int = Field(default=128, ge=1, description="hnsw: nodes visited; ivf: lists visited")
 
     def index(self, bank: Float32) -> None:
@@ -79,7 +79,7 @@ class FaissMatcher(Matcher):
         if options.kind == "flat":
             index = faiss.IndexFlat(dimension, metric)
         elif options.kind == "hnsw":
-            index = faiss.IndexHNSWFlat(dimension, options.links, metric)
+            index = faiss.IndexHNSWFlat(dimension, LINKS, metric)
             index.hnsw.efSearch = max(options.effort, options.top_k)
         else:
             lists = max(1, min(round(np.sqrt(count)), count // ROWS_A_LIST))

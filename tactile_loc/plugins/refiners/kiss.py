@@ -26,6 +26,7 @@ SPREAD = 1.4  # width of the shifts along the surface, in spacings of neighbouri
 STRIDES = np.array([0.8191725134, 0.6710436067, 0.5497004779])  # of Roberts' sequence, which fills a cube evenly
 LEAST_WIDE, LEAST_NARROW = 4.0, 2.0  # least correspondence distance of each pass, in spacings
 DECIMALS = 7  # decimals to which rotations and mm are rounded
+VOXEL_POINTS = 20  # most points of the touch's cloud in a voxel of the correspondence distance
 FAR_MM = 1e6  # distance at which the library drops map points: larger than any cloud
 
 
@@ -38,9 +39,6 @@ class KissIcpRefiner(CloudRefiner):
         wide_mm: float = Field(default=3.0, gt=0, description="largest distance of paired points in pass 1, mm")
         narrow_mm: float = Field(default=0.7, gt=0, description="largest distance of paired points in pass 2, mm")
         max_iterations: int = Field(default=200, ge=1, description="most iterations in each pass")
-        voxel_points: int = Field(
-            default=20, ge=1, description="most points of the touch's cloud in a voxel of the correspondence distance"
-        )
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
         """Return the registration (mm) of the last pass that found correspondences, or an empty registration."""
@@ -62,7 +60,7 @@ class KissIcpRefiner(CloudRefiner):
         Return the transform (4, 4), an upper bound on the number of iterations, and whether the last burst changed
         nothing.
         """
-        seen = VoxelHashMap(reach_mm, FAR_MM, self.options.voxel_points)
+        seen = VoxelHashMap(reach_mm, FAR_MM, VOXEL_POINTS)
         seen.add_points(target.points_mm)
         done, still = 0, False
         while done < self.options.max_iterations and not still:

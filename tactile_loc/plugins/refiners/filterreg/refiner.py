@@ -81,6 +81,7 @@ class Mixtures:
 
 
 RIDGE = 1e-3  # share of the equations' mean diagonal that damps directions which a contact hardly determines
+ANNEAL = 0.5  # factor of the standard deviation from one iteration to the next
 SETTLED_MM = 1e-3  # RMS move of a candidate's points at convergence
 SPACINGS = 0.5  # least standard deviation, in spacings of neighbouring points: narrower Gaussians would not overlap
 
@@ -96,7 +97,6 @@ class FilterRegRefiner(CloudRefiner):
         sigma_end_mm: float = Field(
             default=0.15, gt=0, description="last standard deviation, mm; larger when points are sparse"
         )
-        anneal: float = Field(default=0.5, gt=0, lt=1, description="factor of the standard deviation in each iteration")
         outlier: float = Field(default=0.03, gt=0, lt=1, description="expected share of points without a counterpart")
         point_weight: float = Field(
             default=0.0, ge=0, le=1, description="0 is point to plane, 1 is point to point, others blend both"
@@ -126,7 +126,7 @@ class FilterRegRefiner(CloudRefiner):
         sigma, last, done = options.sigma_mm, max(options.sigma_end_mm, SPACINGS * target.spacing_mm), 0
         while sigma > last and done < options.iterations:
             yield mixtures.make_mixture(sigma, merged=True), False
-            sigma, done = sigma * options.anneal, done + 1
+            sigma, done = sigma * ANNEAL, done + 1
         if done < options.iterations:
             final = mixtures.make_mixture(last, merged=False)
             yield from ((final, True) for _ in range(options.iterations - done))

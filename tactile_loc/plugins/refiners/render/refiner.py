@@ -136,6 +136,7 @@ def _solve(A: Floats, b: Floats, dampings: Floats) -> Floats:
 
 
 ON_THE_WAY, SETTLED = 0.25, 0.1  # largest move at convergence, steps: before the last descent, and in the last descent
+BLURRED_TOLERANCE = 0.25  # increase of the tolerance per mm of blur
 ROUGHLY = 0.02  # loss of contact IoU that is within the error of counting pixels
 Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
@@ -158,7 +159,6 @@ class RenderRefiner(Refiner):
         tolerance: float = Field(
             default=0.1, gt=0, description="difference of indentation beyond which a pixel hardly counts, press shares"
         )
-        blurred_tolerance: float = Field(default=0.25, ge=0, description="increase of the tolerance per mm of blur")
         max_iterations: int = Field(default=8, ge=1, description="most iterations in each descent")
         patch_mm: float = Field(
             default=3.0, ge=0, description="correlation length of the touch's errors, mm; 0 ignores noise"
@@ -208,7 +208,7 @@ class RenderRefiner(Refiner):
         for number, width_mm in enumerate(options.widths_mm, start=1):
             last = number == len(options.widths_mm)
             pictures = Pictures.blurred(mesh, geometry, wanted, width_mm * 1e-3, last, scene.drawing)
-            tolerance = options.tolerance + options.blurred_tolerance * width_mm
+            tolerance = options.tolerance + BLURRED_TOLERANCE * width_mm
             descent = Descent(pictures, pictures.draw_touch(), tolerance, metric, start, hold)
             T, still, done = descent.run(T, options.max_iterations, SETTLED if last else ON_THE_WAY)
             iterations += done
