@@ -22,19 +22,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from single_touch import choose_spacing
+from single_touch import choose_spacing, summarise_errors
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.evaluation.figures import draw_violins
-from tactile_loc.evaluation.protocol import STAGES, evaluate
+from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.tables import Run
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.reports.evaluation_figures import draw_violins
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 from tactile_loc.view.pictures import save_figure
@@ -57,7 +57,7 @@ def make_config(arguments: argparse.Namespace, encoder: dict[str, str], spacing_
     })  # fmt: skip
 
 
-def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, Any], list[Run]]:
+def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, Any], list[ExampleTable]]:
     """Locate one object's touches with each encoder. Return a row of the table and the runs."""
     base = {"sensor": arguments.sensor, "refiner": arguments.refiner}
     spacing_mm = choose_spacing(obj, base, arguments.poses)
@@ -73,13 +73,8 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> tuple[dict[str, 
             row["train_s"] = time.perf_counter() - start
             _write_note(arguments.out, obj.name, row["train_s"])
         result = evaluate(localizer, arguments.touches, SimulatedTouches(arguments.noise, arguments.seed))
-        runs.append(Run(obj.name, str(obj.symmetry), encoder, localizer.model.size, result))
-        row[encoder] = {
-            "median_mm": {k: float(np.median(result.select_errors(k))) * 1e3 for k in LINES},
-            "mean_mm": {k: float(np.mean(result.select_errors(k))) * 1e3 for k in LINES},
-            "median_normalised": {k: float(np.median(result.normalise_errors(k))) for k in LINES},
-            "median_ms": {k: float(np.median(result.select_seconds(k))) * 1e3 for k in STAGES},
-        }
+        runs.append(ExampleTable.make(result.columns, encoder=encoder))
+        row[encoder] = summarise_errors(result, LINES)
     row.setdefault("train_s", _read_notes(arguments.out).get(obj.name))
     return row, runs
 
@@ -226,7 +221,7 @@ def main() -> None:
     record = {"settings": {k: str(v) for k, v in vars(arguments).items()}, "rows": rows, "matching_ms": matching}
     (arguments.out / "results.json").write_text(json.dumps(record, indent=1) + "\n")
     heading = f"{arguments.touches} simulated touches for each object (noise: {arguments.noise})"
-    save_figure(arguments.out / "violins.png", draw_violins(runs, heading))
+    save_figure(arguments.out / "violins.png", draw_violins(ExampleTable.join(runs), heading))
     encode = np.median([r["moco"]["median_ms"]["encode"] for r in rows])
     print(summarise(rows))
     print(f"encoding one touch with moco: {encode:.1f} ms")

@@ -52,8 +52,9 @@ from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.recall.evaluation import RIGHT_M, is_determined
+from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.summary import RIGHT_M
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.localization import Localization

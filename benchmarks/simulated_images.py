@@ -26,6 +26,7 @@ from tactile_loc_benchmark.suite import read_split
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.evaluation.paper_tables import normalise_errors
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import RunConfig, parse_overrides
@@ -106,9 +107,9 @@ def locate(name: str, sensor: Path, encoder: str, arguments: argparse.Namespace)
     shapes, images = (
         evaluate(localizer, arguments.locate, SimulatedTouches(seed=arguments.seed, images=i)) for i in (False, True)
     )
-    cells = [f"{format_mm(float(np.median(e.select_errors(line))))} ({np.median(e.normalise_errors(line)):.3f})"
+    cells = [f"{format_mm(float(np.median(e.errors_m(line, 'add'))))} ({np.median(normalise_errors(e, line)):.3f})"
              for line in LINES for e in (shapes, images)]  # fmt: skip
-    closest = format_mm(float(np.median(shapes.select_errors("closest"))))
+    closest = format_mm(float(np.median(shapes.errors_m("closest", "add"))))
     return f"| {obj.name} | {localizer.model.size} | {encoder} | {' | '.join(cells)} | {closest} |"
 
 

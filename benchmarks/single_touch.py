@@ -12,14 +12,18 @@ import argparse
 import json
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.evaluation.paper_tables import find_scale_m, summarise_lines
 from tactile_loc.evaluation.protocol import STAGES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
@@ -52,12 +56,19 @@ def measure(obj: ObjectModel, arguments: argparse.Namespace) -> dict[str, object
         poses = len(localizer.model.grid)
     return {
         "object": obj.name, "symmetry": str(obj.symmetry), "poses": poses, "spacing_mm": spacing_mm, "build_s": build_s,
-        "random_mm": result.compute_scale_m() * 1e3,
-        "median_mm": {k: float(np.median(result.select_errors(k))) * 1e3 for k in LINES},
-        "mean_mm": {k: float(np.mean(result.select_errors(k))) * 1e3 for k in LINES},
-        "median_normalised": {k: float(np.median(result.normalise_errors(k))) for k in LINES},
-        "median_ms": {k: float(np.median(result.select_seconds(k))) * 1e3 for k in STAGES},
+        "random_mm": find_scale_m(result) * 1e3, **summarise_errors(result, LINES),
     }  # fmt: skip
+
+
+def summarise_errors(table: ExampleTable, lines: Sequence[str]) -> dict[str, Any]:
+    """Return the medians and means of the errors by line, mm and normalised, and the stages' median times, ms."""
+    rows = summarise_lines(table, lines)
+    return {
+        "median_mm": {row["line"]: row["median_m"] * 1e3 for row in rows},
+        "mean_mm": {row["line"]: row["mean_m"] * 1e3 for row in rows},
+        "median_normalised": {row["line"]: row["median_normalised"] for row in rows},
+        "median_ms": {k: float(np.median(table[f"{k}_s"])) * 1e3 for k in STAGES},
+    }
 
 
 def report(row: dict) -> str:  # type: ignore[type-arg]

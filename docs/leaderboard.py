@@ -16,7 +16,7 @@ from tactile_loc_benchmark.files import HEAD, TABLE_NOTE, list_cells
 from tactile_loc_benchmark.leaderboard import Standing, read_standings
 from tactile_loc_benchmark.summary import WITHIN_M, Group, format_within
 
-from tactile_loc.evaluation.tabular import format_markdown
+from tactile_loc.evaluation.text_tables import format_markdown
 from tactile_loc.slots.registry import registry
 
 DOCS = Path(__file__).parent

@@ -15,7 +15,7 @@ from killing.trials import Plan, run_trials
 from record import Record, make_parser
 from tactile_loc_cli.console import make_progress
 
-from tactile_loc.evaluation.tabular import format_markdown
+from tactile_loc.evaluation.text_tables import format_markdown
 
 NUMBERS = {"kill": 200, "full": 50, "at-once": 12}
 NOT_OUTCOMES = ("trials", "most left beside")

@@ -27,7 +27,7 @@ from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.sequences import Frame, SlidingTouches
-from tactile_loc.evaluation.tabular import format_markdown
+from tactile_loc.evaluation.text_tables import format_markdown
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore

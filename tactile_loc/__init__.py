@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
     from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
     from tactile_loc.evaluation.sweep.plan import Plan as Plan
-    from tactile_loc.evaluation.sweep.results import write_sweep as write_sweep
     from tactile_loc.evaluation.sweep.sweep import run_sweep as run_sweep
     from tactile_loc.evaluation.workers import LocalWorkers as LocalWorkers
     from tactile_loc.io.approach_files import Approach as Approach
@@ -85,6 +84,7 @@ if TYPE_CHECKING:
     from tactile_loc.planning.next_touch import RatedApproach as RatedApproach
     from tactile_loc.planning.next_touch import choose_next_touch as choose_next_touch
     from tactile_loc.reports.report import write_report as write_report
+    from tactile_loc.reports.sweep_figures import write_sweep as write_sweep
     from tactile_loc.sensors.calibration.labelling import BallLabels as BallLabels
     from tactile_loc.sensors.calibration.labelling import label_presses as label_presses
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome as CalibrationOutcome

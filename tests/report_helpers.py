@@ -7,21 +7,24 @@ import dataclasses
 import itertools
 import json
 import re
+from collections.abc import Callable, Mapping
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactile_loc.evaluation.fusion import FusionEvaluation
-from tactile_loc.evaluation.fusion_tables import FusionRun, write_fusion_tables
+from tactile_loc.evaluation.fusion import FUSION_LINES
+from tactile_loc.evaluation.jobs import JobOutcome
+from tactile_loc.evaluation.metrics import METRICS as RECALL_METRICS
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
-from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
-from tactile_loc.evaluation.recall.evaluation import METRICS as RECALL_METRICS
-from tactile_loc.evaluation.recall.evaluation import RecallEvaluation
-from tactile_loc.evaluation.recall.summary import RecallRun
+from tactile_loc.evaluation.paper_tables import write_contact_tables, write_touch_tables
+from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES
 from tactile_loc.evaluation.recall.tables import write_recall_tables
-from tactile_loc.evaluation.tables import Run, write_tables
+from tactile_loc.evaluation.sweep.combination import Combination, combine
+from tactile_loc.evaluation.sweep.plan import Plan
+from tactile_loc.evaluation.sweep.sweep import MEASURED, Sweep
+from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.reports import find_source
 from tactile_loc.reports.page import Page, render
@@ -41,55 +44,78 @@ def write_run(folder: Path, localizer: Localizer, touch_name: str | None = None)
     return folder
 
 
+def make_touch_table(name: str, encoder: str, seed: int, touches: int = 12) -> ExampleTable:
+    """The table of an evaluation from one touch, with random errors."""
+    rng = np.random.default_rng(seed)
+    errors_m = rng.uniform(1e-4, 3e-2, (touches, len(LINES), len(METRICS)))
+    stages = dict(zip([f"{stage}_s" for stage in STAGES], rng.uniform(0, 0.01, (len(STAGES), touches)), strict=True))
+    metrics = dict(zip(POSTERIOR_METRICS, rng.uniform(0, 1, (len(POSTERIOR_METRICS), touches)), strict=True))
+    ratios, shares = rng.uniform(0, (3, 0.2), (touches, 2)).T
+    return ExampleTable.make(
+        {**name_errors(errors_m, LINES, METRICS), **stages, **metrics, "ambiguity": ratios, "contact_share": shares},
+        object=name, symmetry="z2", encoder=encoder, noise="mild", seed=1, grid_poses=500, touches=1,
+        example=np.arange(touches), refused=np.arange(touches),
+    )  # fmt: skip
+
+
 def write_evaluation(folder: Path, names: tuple[str, ...] = ("pin", "hook"), touches: int = 12) -> Path:
     """Write the files of an evaluation with random errors, and one gallery."""
     from PIL import Image
 
-    runs = []
-    for seed, name in enumerate(names):
-        rng = np.random.default_rng(seed)
-        errors = rng.uniform(1e-4, 3e-2, (touches, len(LINES), len(METRICS)))
-        poses = np.broadcast_to(np.eye(4), (touches, len(LINES), 4, 4))
-        seconds, posterior_metrics = (
-            rng.uniform(0, 0.01, (touches, len(STAGES))),
-            rng.uniform(0, 1, (touches, len(POSTERIOR_METRICS))),
-        )
-        ratios, shares = rng.uniform(0, (3, 0.2), (touches, 2)).T
-        found = Evaluation(errors, poses, seconds, posterior_metrics, ratios, shares, np.zeros(touches, int))
-        runs.append(Run(name, "z2", "pixel", 500, found, {"grid": {"name": "face"}}))
-    write_tables(folder, runs, {"touches": touches, "noise": "mild", "seed": 1, "images": False}, "title")
+    tables = [make_touch_table(name, "pixel", seed, touches) for seed, name in enumerate(names)]
+    runs = [EvaluatedRun(table, {"grid": {"name": "face"}}) for table in tables]
+    write_touch_tables(folder, runs, {"touches": touches, "noise": "mild", "seed": 1, "images": False}, "title")
     Image.new("RGB", (2000, 300), "white").save(folder / "gallery-pin-pixel.png")
     return folder
 
 
+CONTACTS = (1, 2, 5)
+
+
+def make_contact_table(name: str, encoder: str, seed: int, examples: int = 40) -> ExampleTable:
+    """Examples whose errors fall with the number of contacts; four have no pose common to five contacts."""
+    rng = np.random.default_rng(seed)
+    scales = 1e-3 * np.array([[20, 40, 40], [5, 30, 40], [2, 15, 40]])
+    errors_m = (scales * rng.uniform(0.5, 1.5, (examples, 3, 3))).reshape(-1, 3, 1)
+    example, touches = np.repeat(np.arange(examples), 3), np.tile(CONTACTS, examples)
+    alone = (example < 4) & (touches == 5)
+    return ExampleTable.make(
+        {**name_errors(errors_m, FUSION_LINES, ("add",)), "best-1 alone": alone, "kinematic alone": alone},
+        object=name, symmetry="none", encoder=encoder, noise="mild", seed=1, grid_poses=1000, touches=touches,
+        example=example, refused=2,
+    )  # fmt: skip
+
+
 def write_contacts(folder: Path) -> Path:
     """Write the files of an evaluation from 1, 2 and 5 contacts."""
-    errors = 1e-3 * np.random.default_rng(0).uniform(1, 30, (9, 3, 3))
-    alone = np.zeros((9, 3, 2), bool)
-    alone[:4, 2] = True
-    run = FusionRun("pin", "none", "pixel", 100, FusionEvaluation((1, 2, 5), errors, alone, np.arange(9)))
-    write_fusion_tables(folder, [run], {"examples": 9, "noise": "mild", "seed": 1}, "title")
+    run = EvaluatedRun(make_contact_table("pin", "pixel", 0, 9))
+    write_contact_tables(folder, [run], {"examples": 9, "noise": "mild", "seed": 1}, "title")
     return folder
 
 
-def make_recall_runs(names: tuple[str, ...] = ("pin", "hook"), examples: int = 12) -> list[RecallRun]:
+def make_recall_runs(names: tuple[str, ...] = ("pin", "hook"), examples: int = 12) -> list[EvaluatedRun]:
     """Runs of 1 and 3 touches with random results: noises none and strong, the second example without a pose."""
     runs = []
     for seed, (name, noise) in enumerate(itertools.product(names, ("none", "strong"))):
-        rng = np.random.default_rng(seed)
-        shape = (examples, 2, 4)
-        errors_m = 10 ** rng.uniform(-4.5, -1.5, (*shape, len(RECALL_METRICS)))
-        probabilities = np.sort(rng.uniform(0, 0.5, shape))[..., ::-1]
-        poses = np.broadcast_to(np.eye(4), (*shape, 4, 4)).copy()
-        verdict = rng.choice(["certain", "ambiguous"], shape[:2])
-        problem, seconds = np.full(shape[:2], "", "U40"), rng.uniform(0.1, 1, shape[:2])
-        errors_m[1], poses[1], probabilities[1], seconds[1] = np.inf, np.nan, np.nan, np.nan
-        verdict[1], problem[1] = "refused", "the file is damaged"
-        found = RecallEvaluation(
-            (1, 3), poses, probabilities, errors_m, verdict, problem, rng.random(shape[:2]) < 0.7, seconds,
-            poses[:, 0, 0], np.ones(examples, int),
+        rng, count = np.random.default_rng(seed), 2 * examples
+        errors_m = 10 ** rng.uniform(-4.5, -1.5, (count, 4, len(RECALL_METRICS)))
+        probabilities = np.sort(rng.uniform(0, 0.5, (count, 4)))[..., ::-1].copy()
+        poses = np.broadcast_to(np.eye(4), (count, 4, 4, 4)).copy()
+        verdict = rng.choice(["certain", "ambiguous"], count)
+        problem, seconds = np.full(count, "", "U40"), rng.uniform(0.1, 1, count)
+        errors_m[2:4], poses[2:4], probabilities[2:4], seconds[2:4] = np.inf, np.nan, np.nan, np.nan
+        verdict[2:4], problem[2:4] = "refused", "the file is damaged"
+        table = ExampleTable.make(
+            {
+                **name_errors(np.stack([errors_m[:, 0], errors_m.min(axis=1)], 1), ("first", "listed"), RECALL_METRICS),
+                "T_sensor_object": poses, "probabilities": probabilities, "probability": probabilities[:, 0],
+                "verdict": verdict, "problem": problem, "determined": rng.random(count) < 0.7, "seconds": seconds,
+                "T_true": poses[:, 0],
+            },
+            object=name, symmetry="z2", diameter_m=0.05, encoder="pixel", noise=noise, seed=5, refused=1,
+            example=np.repeat(np.arange(examples), 2), touches=np.tile([1, 3], examples),
         )  # fmt: skip
-        runs.append(RecallRun(name, "z2", 0.05, "pixel", noise, 5, found, {"grid": {"name": "whole"}}))
+        runs.append(EvaluatedRun(table, {"grid": {"name": "whole"}}))
     return runs
 
 
@@ -98,6 +124,21 @@ def write_recall(folder: Path) -> Path:
     about = {"examples": 12, "noises": ["none", "strong"], "seeds": [5], "images": False}
     write_recall_tables(folder, make_recall_runs(), about, "title")
     return folder
+
+
+def make_sweep(values: dict[str, Any], measure: Callable[[Combination], Mapping[str, float] | str]) -> Sweep:
+    """A sweep of a plan's values; `measure` gives some columns of each combination, or the text of its error."""
+    plan = Plan.from_values(values)
+    combinations, _ = combine(plan)
+    outcomes = {}
+    for one in combinations:
+        found = measure(one)
+        if isinstance(found, str):
+            outcomes[one.key] = JobOutcome(one.key, None, error=found)
+        else:
+            zeros = dict.fromkeys(MEASURED, 0.0)
+            outcomes[one.key] = JobOutcome(one.key, {"grid_poses": 7, **zeros, **found}, (f"grid {one.key}",))
+    return Sweep(plan, combinations, outcomes, len(combinations))
 
 
 def sweep_rows() -> list[dict[str, Any]]:

@@ -23,7 +23,7 @@ OTHERS = [name for name in READERS if name not in PAGES]
 @pytest.mark.slow
 @pytest.mark.parametrize(("chosen", "inputs"), [(OTHERS, 12), (PAGES, 3)], ids=["files", "pages"])
 def test_damaged_inputs_are_read_or_refused_in_one_sentence(tmp_path, chosen, inputs):
-    for library in ("mcap", "rosbags", "safetensors", "pandas"):
+    for library in ("mcap", "rosbags", "safetensors", "pyarrow"):
         pytest.importorskip(library)
     state = Record(tmp_path / "state.json", 0)
     fuzz.fuzz(chosen, state, inputs, 0, tmp_path)

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.posterior import PosePosterior, require_pose_left
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.evaluation.metrics import compute_adds
-from tactile_loc.evaluation.protocol import describe_located, sample_surface, save_in_shards
+from tactile_loc.evaluation.metrics import PoseJudge, compute_adds
+from tactile_loc.evaluation.protocol import describe_located, label_run, save_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
+from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.fuser import Fuser
 from tactile_loc.slots.registry import registry
@@ -30,41 +31,14 @@ SHARD = 10  # examples located and saved at once
 ARRAYS = ("errors_m", "alone", "refused")
 
 
-@dataclass(frozen=True, eq=False)
-class FusionEvaluation:
-    """Errors of E examples located from each of C numbers of contacts.
-
-    `errors_m` (E, C, L), metres, is the ADD of every line of FUSION_LINES, with symmetric poses equal. `alone` (E, C,
-    2) marks examples in which a line of FUSED_LINES found no pose common to all contacts, and used only the first
-    contact. `refused` (E,) is the number of presses that made no touch; they do not count.
-    """
-
-    contacts: tuple[int, ...]
-    errors_m: NDArray[np.float64]
-    alone: NDArray[np.bool_]
-    refused: NDArray[np.int64]
-
-    def select_errors(self, line: str, contacts: int) -> NDArray[np.float64]:
-        """Return the errors (E,) of a line with this number of contacts, metres."""
-        return self.errors_m[:, self.contacts.index(contacts), FUSION_LINES.index(line)]
-
-    def compute_scale_m(self) -> float:
-        """Return the mean error of a random pose of the grid, metres, by which the paper divides errors."""
-        return float(self.errors_m[:, :, FUSION_LINES.index("random")].mean())
-
-    def normalise_errors(self, line: str, contacts: int) -> NDArray[np.float64]:
-        """Return the errors (E,) of a line divided by the mean error of a random pose, unitless."""
-        return self.select_errors(line, contacts) / self.compute_scale_m()
-
-    def count_without_common(self, line: str, contacts: int) -> int:
-        """Return the number of examples in which a line of FUSED_LINES found no pose that touches all sensors."""
-        return int(self.alone[:, self.contacts.index(contacts), FUSED_LINES.index(line)].sum())
-
-
 def evaluate_fusion(
     localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches
-) -> FusionEvaluation:
+) -> ExampleTable:
     """Locate `count` examples from each number of `contacts`, with the localizer's fuser and the kinematic fuser.
+
+    The table has a row for each example and number of contacts, with the ADD of FUSION_LINES, symmetric poses equal.
+    The column "LINE alone" marks examples in which a line of FUSED_LINES found no pose common to all contacts, and used
+    only the first contact. `refused` is the number of presses of an example that made no touch; they do not count.
 
     Example e has the touches MOST_FUSED e, MOST_FUSED e + 1, ... of `touches`. So an example with more contacts has the
     same touches and further ones. The object is at rest, and the touches' true poses give the sensor poses.
@@ -78,11 +52,22 @@ def evaluate_fusion(
         raise ConfigError(f"the numbers of contacts cannot be {list(contacts)}; give numbers from 1 to {MOST_FUSED}")
 
     def run(work: Workspace) -> None:
-        examples = _Examples(localizer, numbers, touches)
+        examples = _FusedExamples(localizer, numbers, touches)
         save_in_shards(work, ARRAYS, count, SHARD, examples.locate)
 
     artifact = localizer.store.build(make_fusion_key(localizer, numbers, count, touches), run)
-    return FusionEvaluation(numbers, *(artifact.load_array(name, mmap=False) for name in ARRAYS))
+    errors_m, alone, refused = (artifact.load_array(name, mmap=False) for name in ARRAYS)
+    columns = {
+        **name_errors(errors_m.reshape(-1, len(FUSION_LINES))[..., None], FUSION_LINES, ("add",)),
+        **{f"{line} alone": alone[..., k].ravel() for k, line in enumerate(FUSED_LINES)},
+    }
+    return ExampleTable.make(
+        columns,
+        **label_run(localizer, touches),
+        example=np.repeat(np.arange(count), len(numbers)),
+        touches=np.tile(numbers, count),
+        refused=np.repeat(refused, len(numbers)),
+    )
 
 
 def make_fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
@@ -92,7 +77,7 @@ def make_fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, t
 
 
 @dataclass(frozen=True, eq=False)
-class _Examples:
+class _FusedExamples:
     """Locates examples from touches whose true poses are known."""
 
     localizer: Localizer
@@ -147,7 +132,7 @@ class _Examples:
 
     @cached_property
     def _points_m(self) -> NDArray[np.float64]:
-        return sample_surface(self.localizer.object)
+        return PoseJudge(self.localizer.object).points_m
 
 
 def _make_kinematic() -> Fuser:

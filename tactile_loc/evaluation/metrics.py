@@ -12,7 +12,7 @@ with the nearest point of the surface instead of the nearest sampled point, so i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,10 @@ FEW_SYMMETRIES = 8  # up to this number of symmetries, all are measured with all
 ALIKE = 1.25  # symmetries are tried up to this multiple of the least root mean square distance
 TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried ones, points per try, fully measured ones
 AT_ONCE = 32  # transforms applied to all points at once
-POSTERIOR_METRICS = ("nll", "credible_level", "entropy", "expected_error", "spread")
+POSTERIOR_METRICS = ("nll_nats", "credible_level", "entropy_nats", "expected_error_m", "spread_m")
 LEVELS = (0.5, 0.8, 0.95)
+SURFACE_POINTS = 10_000  # for ADD
+METRICS = ("surface", "add", "mssd")  # of an answer
 GAP_POINTS = 2000  # points of the surface, whose distances are averaged
 STEP_M = 2e-5  # step along a continuous symmetry to find the nearest symmetric pose
 
@@ -106,6 +108,33 @@ def compute_surface_distances(obj: ObjectModel, T_estimates: Poses, T_true: Pose
     return np.array([_measure_gaps(obj.mesh, transform_points(move, points_m)).mean() for move in moves])
 
 
+@dataclass(frozen=True, eq=False)
+class PoseJudge:
+    """Measures poses of an object against its true pose."""
+
+    object: ObjectModel
+
+    @cached_property
+    def points_m(self) -> Points:
+        """The object's points (SURFACE_POINTS, 3), metres, for ADD; they are always the same."""
+        return self.object.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
+
+    @cached_property
+    def diameter_m(self) -> float:
+        """The largest distance of two points of the object's surface, metres."""
+        corners_m = self.object.mesh.hull_corners_m
+        return max(float(np.linalg.norm(corners_m - corner, axis=1).max()) for corner in corners_m)
+
+    def measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
+        """Return the METRICS (K, M), metres, of poses (K, 4, 4) and the true pose (4, 4)."""
+        errors = (
+            compute_surface_distances(self.object, poses, T_true),
+            compute_adds(self.object, self.points_m, poses, T_true),
+            compute_mssd(self.object, self.object.mesh.hull_corners_m, poses, T_true),
+        )
+        return np.stack(errors, axis=1)
+
+
 def _measure_gaps(mesh: TriangleMesh, points_m: Points) -> NDArray[np.float64]:
     """Return the distances (P,), metres, of points (P, 3) from a surface."""
     from open3d.core import Tensor
@@ -173,10 +202,10 @@ def _find_least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.
 def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return the POSTERIOR_METRICS (5,) of a posterior with a known true pose (4, 4), metres.
 
-    `nll`, nats, is the negative log-likelihood of the grid pose nearest to the true pose. `credible_level`, 0 to 1, is
+    `nll_nats` is the negative log-likelihood of the grid pose nearest to the true pose. `credible_level`, 0 to 1, is
     the total probability of all poses likelier than this grid pose, plus a random share of its own probability.
-    `entropy` is in nats. `expected_error` and `spread`, metres, are the mean distances of the posterior's poses from
-    the true pose and from the most probable pose. Symmetric poses count as equal.
+    `expected_error_m` and `spread_m` are the mean distances of the posterior's poses from the true pose and from the
+    most probable pose. Symmetric poses count as equal.
     """
     p = posterior.probabilities
     truth = int(posterior.grid.nearest(T_true[None])[1][0])
@@ -197,27 +226,3 @@ def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.f
     rotation = Rotation.from_matrix(T[:3, :3] @ T_estimate[:3, :3].T).as_rotvec()
     e = np.concatenate([T[:3, 3] - T_estimate[:3, 3], rotation])
     return float(e @ np.linalg.solve(covariance, e))
-
-
-@dataclass(frozen=True)
-class PosteriorSummary:
-    """Means over the posteriors of many touches, lengths in metres, entropy and likelihoods in nats.
-
-    `uniform_nll` is the negative log-likelihood of a uniform posterior. `coverage` has, for each of LEVELS, the share
-    of touches whose true pose is in the credible set of this level.
-    """
-
-    nll: float
-    uniform_nll: float
-    coverage: tuple[float, ...]
-    entropy: float
-    expected_error_m: float
-    spread_m: float
-
-    @classmethod
-    def of(cls, metrics: NDArray[np.float64], grid_poses: int) -> PosteriorSummary:
-        """Summarise the metrics (T, 5) of posteriors over a grid of `grid_poses` poses."""
-        nll, level, entropy, expected_error_m, spread_m = metrics.T
-        coverage = tuple(float((level <= sure).mean()) for sure in LEVELS)
-        means = (float(v.mean()) for v in (entropy, expected_error_m, spread_m))
-        return cls(float(nll.mean()), float(np.log(grid_poses)), coverage, *means)

@@ -12,15 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.ambiguity import AMBIGUOUS, choose_judging_noise, measure_ambiguity
-from tactile_loc.evaluation.metrics import compute_add_s, compute_adds, compute_mssd, measure_posterior
+from tactile_loc.evaluation.ambiguity import choose_judging_noise, measure_ambiguity
+from tactile_loc.evaluation.metrics import (
+    POSTERIOR_METRICS,
+    PoseJudge,
+    compute_add_s,
+    compute_adds,
+    compute_mssd,
+    measure_posterior,
+)
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
+from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey
@@ -32,7 +39,6 @@ PROTOCOL_VERSION = 3  # increase if the same localizer gets other results
 LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
-SURFACE_POINTS = 10_000
 ASKED_EVERY = 10  # step through the surface points, for ADD-S
 MOST, FEW = 50, 10  # candidates of best-50, and of best-10, chosen, reg-10 and random-10
 NEAR = 32  # grid poses nearest by root mean square distance, among which the nearest by ADD is sought
@@ -41,14 +47,9 @@ MEASURED = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
 ARRAYS = (*MEASURED, "ambiguity", "contact_share", "refused")
 
 
-def sample_surface(obj: ObjectModel) -> NDArray[np.float64]:
-    """Return the object's points (SURFACE_POINTS, 3), metres, for ADD; they are always the same."""
-    return obj.mesh.sample(SURFACE_POINTS, np.random.default_rng(0))
-
-
 @dataclass(frozen=True, eq=False)
 class MeasuredTouch:
-    """One touch's row of an `Evaluation`: errors (L, M) and poses (L, 4, 4), metres, seconds (S,), and metrics (B,)."""
+    """One located touch: errors (L, M) and poses (L, 4, 4), metres, seconds (S,), and metrics (B,)."""
 
     errors_m: NDArray[np.float64]
     T_sensor_object: Poses
@@ -90,9 +91,14 @@ class TouchEvaluator:
         return np.stack([pose.T_sensor_object for pose in (first, *others)]), seconds
 
     def _choose_lines(
-        self, grid: PoseGrid, T_true: Poses, top: NDArray[np.int64], guesses: NDArray[np.int64], refined: Poses,
+        self,
+        grid: PoseGrid,
+        T_true: Poses,
+        top: NDArray[np.int64],
+        guesses: NDArray[np.int64],
+        refined: Poses,
         chosen: int,
-    ) -> Poses:  # fmt: skip
+    ) -> Poses:
         """Return each line's pose (L, 4, 4), metres: the line's candidate nearest to the true pose by ADD."""
         near = np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
         on_grid = np.concatenate([top, guesses, near])
@@ -100,10 +106,16 @@ class TouchEvaluator:
         errors = compute_adds(self.localizer.object, self._points_m, poses, T_true)
         k, n = len(top), len(on_grid)
         choices = {
-            "best-1": (0, 1), "best-10": (0, min(FEW, k)), "best-50": (0, k), "reg-1": (n, n + 1),
-            "chosen": (n + chosen, n + chosen + 1), "reg-10": (n, len(poses)), "closest": (0, n),
-            "random": (k, k + 1), "random-10": (k, k + FEW),
-        }  # fmt: skip
+            "best-1": (0, 1),
+            "best-10": (0, min(FEW, k)),
+            "best-50": (0, k),
+            "reg-1": (n, n + 1),
+            "chosen": (n + chosen, n + chosen + 1),
+            "reg-10": (n, len(poses)),
+            "closest": (0, n),
+            "random": (k, k + 1),
+            "random-10": (k, k + FEW),
+        }
         return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
 
     def _measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
@@ -120,56 +132,16 @@ class TouchEvaluator:
 
     @cached_property
     def _points_m(self) -> NDArray[np.float64]:
-        return sample_surface(self.localizer.object)
+        return PoseJudge(self.localizer.object).points_m
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """Errors of T located simulated touches.
-
-    `errors_m` (T, L, M), metres, has every line of LINES and every metric of METRICS. `T_sensor_object` (T, L, 4, 4),
-    metres, is each line's final pose. `seconds` (T, S) are the durations of STAGES, with one pose refined.
-    `posterior_metrics` (T, B) are POSTERIOR_METRICS, metres and nats. `ambiguity` (T,) are the ratios of
-    `measure_ambiguity`, unitless. `contact_share` (T,), 0 to 1, is the share of the observed pixels in contact.
-    `refused` (T,) is the number of presses before each touch that made no touch and do not count.
-    """
-
-    errors_m: NDArray[np.float64]
-    T_sensor_object: Poses
-    seconds: NDArray[np.float64]
-    posterior_metrics: NDArray[np.float64]
-    ambiguity: NDArray[np.float64]
-    contact_share: NDArray[np.float64]
-    refused: NDArray[np.int64]
-
-    @property
-    def ambiguous(self) -> NDArray[np.bool_]:
-        """Whether a distant pose explains each touch (T,) as well as the true pose does, within noise."""
-        return self.ambiguity < AMBIGUOUS
-
-    def select_errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
-        """Return the errors (T,) of a line, metres."""
-        return self.errors_m[:, LINES.index(line), METRICS.index(metric)]
-
-    def compute_scale_m(self, metric: str = "add") -> float:
-        """Return the mean error of a random pose of the grid, metres, by which the paper divides errors."""
-        return float(self.select_errors("random", metric).mean())
-
-    def normalise_errors(self, line: str, metric: str = "add") -> NDArray[np.float64]:
-        """Return the errors (T,) of a line divided by the mean error of a random pose, unitless."""
-        return self.select_errors(line, metric) / self.compute_scale_m(metric)
-
-    def select_poses(self, line: str) -> Poses:
-        """Return the final poses (T, 4, 4) of a line, metres."""
-        return self.T_sensor_object[:, LINES.index(line)]
-
-    def select_seconds(self, stage: str) -> NDArray[np.float64]:
-        """Return the durations (T,) of a stage, seconds."""
-        return self.seconds[:, STAGES.index(stage)]
-
-
-def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Evaluation:
+def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> ExampleTable:
     """Locate the first `count` of the simulated touches and measure all LINES.
+
+    The table has a row for each touch, with the errors of LINES in METRICS, the columns STAGE_s (the durations of
+    STAGES, with one pose refined), and POSTERIOR_METRICS. `T_sensor_object` (T, L, 4, 4), metres, is each line's final
+    pose, and `ambiguity` the ratio of `measure_ambiguity`. `contact_share`, 0 to 1, is the share of the observed pixels
+    in contact. `refused` is the number of presses before each touch that made no touch and do not count.
 
     The result is kept in the localizer's store, in shards of SHARD touches. An interrupted evaluation resumes with the
     same errors. All encoders get the same touches and the same random poses. Raises TactileLocError if a touch cannot
@@ -181,7 +153,27 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Eva
         save_in_shards(work, ARRAYS, count, SHARD, lambda numbers: _localise(evaluator, numbers, touches))
 
     artifact = localizer.store.build(make_evaluation_key(localizer, count, touches), run)
-    return Evaluation(*(artifact.load_array(name, mmap=False) for name in ARRAYS))
+    arrays = {name: artifact.load_array(name, mmap=False) for name in ARRAYS}
+    errors_m, seconds, metrics = (arrays.pop(name) for name in ("errors_m", "seconds", "posterior_metrics"))
+    columns = {
+        **name_errors(errors_m, LINES, METRICS),
+        **{f"{stage}_s": seconds[:, k] for k, stage in enumerate(STAGES)},
+        **{name: metrics[:, k] for k, name in enumerate(POSTERIOR_METRICS)},
+        **arrays,
+    }
+    return ExampleTable.make(columns, **label_run(localizer, touches), example=np.arange(count), touches=1)
+
+
+def label_run(localizer: Localizer, touches: SimulatedTouches) -> dict[str, Any]:
+    """Return the columns that are the same for all simulated touches of a localizer's object."""
+    return {
+        "object": localizer.object.name,
+        "symmetry": str(localizer.object.symmetry),
+        "encoder": localizer.config.encoder.name,
+        "noise": touches.noise,
+        "seed": touches.seed,
+        "grid_poses": localizer.model.size,
+    }
 
 
 def make_evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:
@@ -243,5 +235,7 @@ def describe_located(localizer: Localizer, touches: SimulatedTouches, count: int
         **localizer.source.describe_scores(),
         "temperature_scaling": asdict(localizer.probabilities.temperature_scaling),
         "matcher": matcher.describe(),
-        "fuser": localizer.fuser.describe(), **touches.describe(localizer), "count": count,
-    }  # fmt: skip
+        "fuser": localizer.fuser.describe(),
+        **touches.describe(localizer),
+        "count": count,
+    }

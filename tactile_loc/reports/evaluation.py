@@ -1,51 +1,57 @@
-"""The reports of evaluations, from one touch and from several contacts."""
+"""The reports of evaluations: by the paper's protocol from one touch and from several contacts, and of answers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.evaluation import fusion_tables, tables
-from tactile_loc.evaluation.metrics import LEVELS
+from tactile_loc.evaluation import metrics, paper_tables
+from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES
+from tactile_loc.evaluation.recall import tables
+from tactile_loc.evaluation.summary import VERDICTS, bin_probabilities
+from tactile_loc.evaluation.table import ExampleTable
+from tactile_loc.evaluation.text_tables import format_share
 from tactile_loc.io.streams.records import read_document
 from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import encode_gallery
 
-METRIC_NAMES = {"add": "ADD", "mssd": "MSSD", "add-s": "ADD-S"}
-FIRST_LINE = "chosen"  # error that the curves show first, if the evaluation has this error
+METRIC_NAMES = {"surface": "surface distance", "add": "ADD", "mssd": "MSSD", "add-s": "ADD-S"}
+FIRST_LINE = "chosen"  # error that the curves show first
 CONTACTS_LINE = "best-1"  # error in the main numbers for several contacts
-UNITS = {"metres": 1e3, "normalised": 1.0}  # names of statistics, and their factors to mm and shares
-DIGITS = 6
+BEYOND_MM = 1e6  # stands for the error of an example without a pose
+DIGITS, DIGITS_OF_ANSWERS = 6, 5
 
-Run = Mapping[str, Any]
+Run = dict[str, Any]
 
 
 def make_evaluation_page(path: Path) -> Page:
     """Return the page of an evaluation from its results.json. Raises ResultError if the file's version differs."""
-    document, runs = read_runs(path, tables.SCHEMA_VERSION)
-    lines, metrics = list(runs[0]["errors_m"]), list(next(iter(runs[0]["errors_m"].values())))
+    document, runs, table = read_evaluation(path, paper_tables.TOUCH_SCHEMA)
     sections = [
-        Section("summary", "", {"numbers": _list_numbers(runs, _choose_first(lines))}),
-        Section("medians", "Medians", _tabulate_medians(runs)),
-        Section("errors", "Errors", _list_choices(runs, lines, metrics)),
+        Section("summary", "", {"numbers": _list_numbers(document, runs)}),
+        Section("medians", "Medians", _tabulate_medians(document, runs)),
+        Section("errors", "Errors", _list_choices(runs)),
         Section("posterior", "Calibration of the probabilities", _tabulate_posteriors(runs)),
         Section("times", "Times", _tabulate_times(runs)),
         Section("gallery", "Best, median and worst touches", {"pictures": _collect_gallery(path.parent, runs)}),
         describe_settings(document, runs),
     ]
     shown = [section for section in sections if section.values.get("pictures", True)]
-    objects = list(dict.fromkeys(run["object"] for run in runs))
-    title = f"Evaluation: {', '.join(objects) if len(objects) < 7 else f'{len(objects)} objects'}"
     kind = "simulated images" if document["protocol"].get("images") else "simulated touches"
-    data = {"runs": [_collect_errors(run) for run in runs], "lines": lines}
+    by_run = table.group("object", "encoder")
+    data = {
+        "runs": [_collect_errors(run, by_run[run["object"], run["encoder"]]) for run in runs],
+        "lines": list(LINES),
+    }
     about = _describe_protocol(document, "touches", kind)
-    return Page("evaluation", title, about, shown, data, ["errors.js", "evaluation.js"])
+    return Page("evaluation", _name_objects(runs), about, shown, data, ["errors.js", "evaluation.js"])
 
 
 def make_contacts_page(path: Path) -> Page:
@@ -53,32 +59,71 @@ def make_contacts_page(path: Path) -> Page:
 
     Raises ResultError if the file's version differs.
     """
-    document, runs = read_runs(path, fusion_tables.SCHEMA_VERSION)
+    document, runs, _ = read_evaluation(path, paper_tables.CONTACTS_SCHEMA)
+    lines = {run["name"]: _group_lines(document, run) for run in runs}
     sections = [
-        Section("summary", "", {"numbers": [_summarise_contacts(run) for run in runs]}),
-        Section("curves", "Errors by number of contacts", {"lines": ["all", *runs[0]["lines"]]}),
-        Section("medians", "Medians", _tabulate_contacts(runs)),
+        Section("summary", "", {"numbers": [_summarise_contacts(run["name"], lines) for run in runs]}),
+        Section("curves", "Errors by number of contacts", {"lines": ["all", *lines[runs[0]["name"]]]}),
+        Section("medians", "Medians", _tabulate_contacts(lines)),
         describe_settings(document, runs),
     ]
     title = f"Several contacts: {', '.join(dict.fromkeys(run['object'] for run in runs))}"
-    data = {"runs": [_collect_quartiles(run) for run in runs]}
+    data = {"runs": [{"name": name, "lines": _collect_quartiles(rows)} for name, rows in lines.items()]}
     about = _describe_protocol(document, "examples", "simulated examples")
     return Page("contacts", title, about, sections, data, ["errors.js", "contacts.js"])
 
 
-def read_runs(path: Path, version: int) -> tuple[dict[str, Any], list[Run]]:
-    """Return a document and its runs. A run's "name" is its object, followed by its encoder if encoders differ."""
+def make_recall_page(path: Path) -> Page:
+    """Return the page of an evaluation from its recall.json. Raises ResultError if the file's version differs."""
+    document, runs, table = read_evaluation(path, tables.SCHEMA_VERSION)
+    groups = tables.group_answers(table)
+    rows = tables.summarise_answers(table)
+    objects = list(dict.fromkeys(name for name, *_ in reversed(groups)))  # all objects come first
+    choices = {
+        "objects": objects,
+        "noises": {noise: tables.name_noise(noise) for _, _, noise, _ in groups},
+        "metrics": {metric: METRIC_NAMES[metric] for metric in metrics.METRICS},
+    }
+    shown = [row for row in rows if row["object"] == objects[0] or len(objects) == 1]
+    unlocated = tables.list_problems(table)
+    sections = [
+        Section("summary", "", {"numbers": list(_list_shares(shown))}),
+        Section("recall", "Recall", {**choices, "rows": tables.tabulate_recall(rows)}),
+        Section("verdicts", "Verdicts", {"rows": tables.tabulate_verdicts(rows)}),
+        Section("reliability", "Reliability of the probabilities", {"rows": tables.tabulate_bins(rows)}),
+        *([Section("problems", "Examples without a pose", {"problems": unlocated})] if unlocated else []),
+        describe_settings(document, list({run["name"]: run for run in reversed(runs)}.values())[::-1]),
+    ]
+    data = {
+        "groups": [_collect_group(row, some) for row, some in zip(rows, groups.values(), strict=True)],
+        "verdicts": list(VERDICTS),
+        "reliability": [
+            {"touches": touches, "bins": list(collect_bins(some))}
+            for (touches,), some in table.group("touches").items()
+        ],
+    }
+    about = _describe_examples(document)
+    return Page("recall", _name_objects(runs), about, sections, data, ["errors.js", "recall.js"])
+
+
+def read_evaluation(path: Path, version: int) -> tuple[dict[str, Any], list[Run], ExampleTable]:
+    """Return a document, its runs and its examples.
+
+    A run's "name" is its object, followed by its encoder if encoders differ.
+    """
     document = read_document(path)
     found = document.get("schema_version")
     if found != version:
-        raise ResultError(f"{path} has version {found}, and this tactile-loc reads version {version}; make it again")
+        raise ResultError(
+            f"{path} has version {found}, and this tactile-loc reads version {version}; make it again with the same "
+            "`tactile-loc evaluate`, which uses the stored results"
+        )
     runs = document["runs"]
     if not runs:
         raise ValueError("it has no runs")
     several = len({run["encoder"] for run in runs}) > 1
-    return document, [
-        {**run, "name": f"{run['object']}, {run['encoder']}" if several else str(run["object"])} for run in runs
-    ]
+    named = [{**run, "name": f"{run['object']}, {run['encoder']}" if several else str(run["object"])} for run in runs]
+    return document, named, ExampleTable.read(document["examples"])
 
 
 def describe_settings(document: Mapping[str, Any], runs: Sequence[Run]) -> Section:
@@ -94,6 +139,11 @@ def describe_settings(document: Mapping[str, Any], runs: Sequence[Run]) -> Secti
     return Section("made", "Settings", {"runs": settings, "versions": list(document["versions"].items())})
 
 
+def _name_objects(runs: Sequence[Run]) -> str:
+    objects = list(dict.fromkeys(run["object"] for run in runs))
+    return f"Evaluation: {', '.join(objects) if len(objects) < 7 else f'{len(objects)} objects'}"
+
+
 def _describe_grid(run: Run) -> str:
     return f"{run['grid_poses']} grid poses, " if "grid_poses" in run else ""
 
@@ -106,79 +156,92 @@ def _describe_protocol(document: Mapping[str, Any], counted: str, what: str) -> 
     )
 
 
+def _describe_examples(document: Mapping[str, Any]) -> str:
+    protocol = document["protocol"]
+    if "touches" in protocol:
+        what = f"{protocol['examples']} examples of own touches ({', '.join(protocol['touches'])})"
+    else:
+        noises, seeds = (", ".join(map(str, protocol[name])) for name in ("noises", "seeds"))
+        kind = "simulated images" if protocol["images"] else f"noise {noises}"
+        what = f"{protocol['examples']} simulated examples for each object, {kind}, seed {seeds}"
+    return f"{what}; protocol {protocol['version']}; {document['created']}"
+
+
+def _group_lines(document: Mapping[str, Any], run: Run) -> dict[str, list[Run]]:
+    """Return the rows of the summary of a run by line, for ADD."""
+    found: dict[str, list[Run]] = {}
+    for row in document["summary"]:
+        if (row["object"], row["encoder"], row["metric"]) == (run["object"], run["encoder"], "add"):
+            found.setdefault(row["line"], []).append(row)
+    return found
+
+
 # ---- from one touch
 
 
-def _choose_first(lines: Sequence[str]) -> str:
-    return FIRST_LINE if FIRST_LINE in lines else lines[0]
-
-
-def _list_numbers(runs: Sequence[Run], line: str) -> list[tuple[str, str, str]]:
-    medians = [run["lines"][line]["add"] for run in runs]
-    ambiguous = float(np.mean([run["ambiguity"]["ambiguous"] for run in runs]))
-    middle_mm = format_mm(float(np.median([m["metres"]["median"] for m in medians])))
-    share = float(np.median([m["normalised"]["median"] for m in medians]))
-    covered = np.mean([run["posterior"]["coverage"] for run in runs], axis=0)
+def _list_numbers(document: Mapping[str, Any], runs: Sequence[Run]) -> list[tuple[str, str, str]]:
+    (medians,) = zip(*(_group_lines(document, run)[FIRST_LINE] for run in runs), strict=True)
+    ambiguous = float(np.mean([run["ambiguous"] for run in runs]))
+    middle_mm = format_mm(float(np.median([row["median_m"] for row in medians])))
+    share = float(np.median([row["median_normalised"] for row in medians]))
+    covered = np.mean([run["coverage"] for run in runs], axis=0)
     of_all = f"the median of {len(runs)} medians" if len(runs) > 1 else f"of {runs[0]['object']}"
     sets = [
         (_name_set(level), f"{100 * held:.0f} %", f"of the true poses; ideal: {100 * level:.0f} %")
-        for level, held in zip(_list_levels(runs[0]), covered, strict=True)
+        for level, held in zip(runs[0]["levels"], covered, strict=True)
     ]
     return [
-        (f"median ADD, {line}", f"{middle_mm} mm", of_all),
+        (f"median ADD, {FIRST_LINE}", f"{middle_mm} mm", of_all),
         ("normalised", f"{share:.3f}", "the same, divided by the mean error of random poses"),
         ("ambiguous touches", f"{100 * ambiguous:.0f} %", "a distant pose makes the same contact, within noise"),
         *sets,
     ]
 
 
-def _list_levels(run: Run) -> list[float]:
-    return list(run["posterior"].get("levels", LEVELS))
-
-
 def _name_set(level: float) -> str:
     return f"in the {100 * level:.0f} % set"
 
 
-def _tabulate_medians(runs: Sequence[Run]) -> dict[str, Any]:
-    lines = [line for line in tables.SHOWN if line in runs[0]["lines"]]
+def _tabulate_medians(document: Mapping[str, Any], runs: Sequence[Run]) -> dict[str, Any]:
     lengths, shares = (
-        [[run["name"], run["grid_poses"], *(write(run["lines"][line]["add"][unit]["median"]) for line in lines)]
-         for run in runs]
-        for unit, write in (("metres", format_mm), ("normalised", "{:.3f}".format))
-    )  # fmt: skip
-    return {"header": ["object", "grid poses", *lines], "lengths": lengths, "shares": shares}
+        [
+            [
+                run["name"],
+                run["grid_poses"],
+                *(cell(_group_lines(document, run)[line][0]) for line in paper_tables.SHOWN),
+            ]
+            for run in runs
+        ]
+        for cell in (paper_tables.format_median, paper_tables.format_share_of_random)
+    )
+    return {"header": ["object", "grid poses", *paper_tables.SHOWN], "lengths": lengths, "shares": shares}
 
 
-def _list_choices(runs: Sequence[Run], lines: Sequence[str], metrics: Sequence[str]) -> dict[str, Any]:
+def _list_choices(runs: Sequence[Run]) -> dict[str, Any]:
     """Return the objects, metrics and lines that a reader can choose for the plots of errors."""
     objects = {"": "all, by line", **{str(i): run["name"] for i, run in enumerate(runs)}}
     return {
         "objects": objects if len(runs) > 1 else {"0": runs[0]["name"]},
-        "metrics": {metric: METRIC_NAMES.get(metric, metric) for metric in metrics},
-        "lines": lines,
-        "first": _choose_first(lines),
+        "metrics": {metric: METRIC_NAMES[metric] for metric in METRICS},
+        "lines": list(LINES),
+        "first": FIRST_LINE,
     }
 
 
 def _tabulate_posteriors(runs: Sequence[Run]) -> dict[str, Any]:
-    header = ["object", *map(_name_set, _list_levels(runs[0])), "NLL (nats)", "uniform NLL (nats)", "entropy (nats)",
+    header = ["object", *map(_name_set, runs[0]["levels"]), "NLL (nats)", "uniform NLL (nats)", "entropy (nats)",
               "expected error (mm)", "spread (mm)"]  # fmt: skip
     rows = []
     for run in runs:
-        posterior = run["posterior"]
-        held = [f"{100 * share:.0f} %" for share in posterior["coverage"]]
-        nats = [f"{posterior[key]:.2f}" for key in ("nll", "uniform_nll", "entropy")]
-        rows.append(
-            [run["name"], *held, *nats, format_mm(posterior["expected_error_m"]), format_mm(posterior["spread_m"])]
-        )
+        held = [f"{100 * share:.0f} %" for share in run["coverage"]]
+        nats = [f"{run[key]:.2f}" for key in ("nll_nats", "uniform_nll_nats", "entropy_nats")]
+        rows.append([run["name"], *held, *nats, format_mm(run["expected_error_m"]), format_mm(run["spread_m"])])
     return {"header": header, "rows": rows}
 
 
 def _tabulate_times(runs: Sequence[Run]) -> dict[str, Any]:
-    stages = list(runs[0]["median_seconds"])
-    rows = [[run["name"], *(f"{1e3 * run['median_seconds'][stage]:.2f}" for stage in stages)] for run in runs]
-    return {"header": ["object", *(f"{stage} (ms)" for stage in stages)], "rows": rows}
+    rows = [[run["name"], *(f"{1e3 * run['median_seconds'][stage]:.2f}" for stage in STAGES)] for run in runs]
+    return {"header": ["object", *(f"{stage} (ms)" for stage in STAGES)], "rows": rows}
 
 
 def _collect_gallery(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]:
@@ -192,61 +255,96 @@ def _collect_gallery(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]
     return found
 
 
-def _collect_errors(run: Run) -> dict[str, Any]:
+def _collect_errors(run: Run, table: ExampleTable) -> dict[str, Any]:
     """Return the values of a run for the page's scripts, in mm, nats and ms."""
-    errors = {
-        line: {metric: [_round(1e3 * e) for e in values] for metric, values in by_metric.items()}
-        for line, by_metric in run["errors_m"].items()
-    }
     return {
-        "name": run["name"], "errors_mm": errors, "random_mm": {m: 1e3 * v for m, v in run["random_mean_m"].items()},
-        **{name: [_round(v) for v in run["posterior_metrics"][name]] for name in ("credible_level", "entropy")},
-        "levels": _list_levels(run), "coverage": run["posterior"]["coverage"],
+        "name": run["name"],
+        "errors_mm": {
+            line: {metric: _round(1e3 * table.errors_m(line, metric)) for metric in METRICS} for line in LINES
+        },
+        "random_mm": {metric: 1e3 * value for metric, value in run["random_mean_m"].items()},
+        "credible_level": _round(table["credible_level"]),
+        "entropy": _round(table["entropy_nats"]),
+        "levels": run["levels"],
+        "coverage": run["coverage"],
         "times": [[stage, 1e3 * s] for stage, s in run["median_seconds"].items()],
-    }  # fmt: skip
+    }
 
 
-def _round(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")
+def _round(values: NDArray[np.float64], digits: int = DIGITS) -> list[float]:
+    return [float(f"{value:.{digits}g}") for value in values]
 
 
 # ---- from several contacts
 
 
-def _summarise_contacts(run: Run) -> tuple[str, str, str]:
-    first, last = (run["lines"][CONTACTS_LINE][k] for k in (0, -1))
-    medians = f"{format_mm(first['metres']['median'])} → {format_mm(last['metres']['median'])} mm"
-    return run["name"], medians, f"median ADD from {_count_contacts(first)} to {_count_contacts(last)}"
+def _summarise_contacts(name: str, lines: Mapping[str, Mapping[str, Sequence[Run]]]) -> tuple[str, str, str]:
+    first, *_, last = [*lines[name][CONTACTS_LINE][:1], *lines[name][CONTACTS_LINE]]
+    medians = f"{format_mm(first['median_m'])} → {format_mm(last['median_m'])} mm"
+    numbers = [paper_tables.name_contacts(row["contacts"]) for row in (first, last)]
+    return name, medians, f"median ADD from {numbers[0]} to {numbers[1]}"
 
 
-def _tabulate_contacts(runs: Sequence[Run]) -> dict[str, Any]:
+def _tabulate_contacts(lines: Mapping[str, Mapping[str, Sequence[Run]]]) -> dict[str, Any]:
     rows = [
-        [run["name"], line, *(f"{format_mm(e['metres']['median'])} ({e['normalised']['median']:.3f})" for e in entries)]
-        for run in runs
-        for line, entries in run["lines"].items()
+        [name, line, *map(paper_tables.format_both, entries)]
+        for name, by_line in lines.items()
+        for line, entries in by_line.items()
     ]
-    without = [[run["name"], *(entry["without_common"] for entry in run["lines"][CONTACTS_LINE])] for run in runs]
+    by_name = {name: by_line[CONTACTS_LINE] for name, by_line in lines.items()}
     return {
-        "contacts": [_count_contacts(entry) for entry in runs[0]["lines"][CONTACTS_LINE]],
+        "contacts": [paper_tables.name_contacts(row["contacts"]) for row in next(iter(by_name.values()))],
         "rows": rows,
-        "without": without,
+        "without": [[name, *(row["without_common"] for row in entries)] for name, entries in by_name.items()],
     }
 
 
-def _count_contacts(entry: Mapping[str, Any]) -> str:
-    return "1 contact" if entry["contacts"] == 1 else f"{entry['contacts']} contacts"
-
-
-def _collect_quartiles(run: Run) -> dict[str, Any]:
-    """Return the medians and quartiles of a run for the page's scripts, in mm and as shares."""
-    lines = {
+def _collect_quartiles(lines: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
+    """Return the medians and quartiles by line for the page's scripts, in mm and as shares."""
+    kinds = {"metres": ("m", 1e3), "normalised": ("normalised", 1.0)}
+    return {
         line: {
-            "contacts": [entry["contacts"] for entry in entries],
+            "contacts": [row["contacts"] for row in rows],
             **{
-                unit: {key: [factor * entry[unit][key] for entry in entries] for key in ("median", "q25", "q75")}
-                for unit, factor in UNITS.items()
+                kind: {name: [factor * row[f"{name}_{unit}"] for row in rows] for name in ("median", "q25", "q75")}
+                for kind, (unit, factor) in kinds.items()
             },
         }
-        for line, entries in run["lines"].items()
+        for line, rows in lines.items()
     }
-    return {"name": run["name"], "lines": lines}
+
+
+# ---- answers
+
+
+def _list_shares(rows: Sequence[Run]) -> Iterator[tuple[str, str, str]]:
+    """Yield the main numbers: for each group, the recall at 1 mm, and the reliability of the verdict "certain"."""
+    for row in rows:
+        half, one, five = map(format_share, row["within"])
+        right = "" if row["certain_right"] is None else f", {format_share(row['certain_right'])} of them right"
+        touches = "1 touch" if row["touches"] == 1 else f"{row['touches']} touches"
+        certain = row["verdicts"]["certain"]
+        shares = f"within 1 mm; {half} within 0.5 mm, {five} within 5 mm; {certain} certain{right}"
+        yield f"{touches}, {tables.name_noise(row['noise'])}", one, shares
+
+
+def _collect_group(row: Run, table: ExampleTable) -> dict[str, Any]:
+    """Return the values of a group for the page's scripts, in mm and %."""
+    errors = {
+        line: {metric: sort_errors_mm(table.errors_m(line, metric)) for metric in metrics.METRICS}
+        for line in ("first", "listed")
+    }
+    labels = {name: row[name] for name in tables.GROUP}
+    return {**labels, "errors_mm": errors, "verdicts": [row["verdicts"][verdict] for verdict in VERDICTS]}
+
+
+def collect_bins(table: ExampleTable) -> Iterator[dict[str, Any]]:
+    """Yield the reliability of the probabilities in each bin, in %, for the page's scripts."""
+    for one in bin_probabilities(table):
+        if one.stated is not None and one.right is not None:
+            yield {"stated": 100 * one.stated, "right": 100 * one.right, "examples": one.examples}
+
+
+def sort_errors_mm(errors_m: NDArray[np.float64], digits: int = DIGITS_OF_ANSWERS) -> list[float]:
+    """Return errors (E,), metres, in mm in ascending order; BEYOND_MM stands for an example without a pose."""
+    return _round(np.minimum(1e3 * np.sort(errors_m), BEYOND_MM), digits)

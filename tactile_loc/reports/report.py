@@ -53,13 +53,13 @@ def find_source(path: Path) -> Source:
 
 def make_page(source: Source) -> Page:
     """Return the page of a result. Raises ResultError if the result's files cannot be used."""
-    from tactile_loc.reports import evaluation, recall, run, sweep
+    from tactile_loc.reports import evaluation, run, sweep
 
     makers = {
         "run": run.make_run_page,
         "evaluation": evaluation.make_evaluation_page,
         "contacts": evaluation.make_contacts_page,
-        "recall": recall.make_recall_page,
+        "recall": evaluation.make_recall_page,
         "sweep": sweep.make_sweep_page,
     }
     with name_damage(source.path):

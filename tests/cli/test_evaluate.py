@@ -52,10 +52,10 @@ def test_touches_of_simulate_are_evaluated(cli, tmp_path):
     assert "touch-0001.npz" in done.stdout
     record = json.loads((tmp_path / "out" / "recall.json").read_text())
     (run,) = record["runs"]
-    (result,) = run["results"]
+    (result,) = record["summary"]
     assert (result["touches"], result["examples"], result["verdicts"]["refused"]) == (1, 3, 1)
     assert (run["noise"], run["seed"]) == ("own touches", None)
-    errors = result["each_example"]["errors_m"]["surface"]
+    errors = record["examples"]["first surface_m"]
     assert [error is None for error in errors] == [False, True, False]
 
 
@@ -82,16 +82,16 @@ def test_a_table_of_own_touches_is_evaluated_together(cli, tmp_path):
     words = ["--object", "pin", *TINY, "--refiner", "none", "--touches", "touches/poses.csv", "--out", "out"]
     succeed(cli("evaluate", *words))
     record = json.loads((tmp_path / "out" / "recall.json").read_text())
-    assert [result["touches"] for result in record["runs"][0]["results"]] == [1, 2]
+    assert [result["touches"] for result in record["summary"]] == [1, 2]
     assert_refused(cli("evaluate", *words, "--together", "3"), "3 touches")
 
 
 def test_json_has_the_summary_without_single_examples(cli, tmp_path):
     words = ["--object", "pin", *TINY, "--refiner", "none", "--count", 1, "--together", "1", "--noise", "none"]
     done = succeed(cli("evaluate", *words, "--json"))
-    (run,) = json.loads(done.stdout)["runs"]
-    assert run["results"][0]["examples"] == 1
-    assert "each_example" not in run["results"][0]
+    record = json.loads(done.stdout)
+    assert record["summary"][0]["examples"] == 1
+    assert "examples" not in record
 
 
 def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):

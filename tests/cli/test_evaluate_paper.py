@@ -38,13 +38,13 @@ def test_results_of_several_objects_are_written(cli, tmp_path):
         with Image.open(out / name) as picture:
             assert min(picture.size) > 300
     lines = [line.split() for line in done.stdout.splitlines()]
-    median_m = record["runs"][0]["lines"]["best-1"]["add"]["metres"]["median"]
+    median_m = record["summary"][0]["median_m"]
     in_mm, shares, ambiguity, area, trust = [line for line in lines if line[:2] == ["pin", "pixel"]]
     assert float(in_mm[2]) == pytest.approx(1e3 * median_m, rel=0.01)
     assert float(shares[2]) == pytest.approx(median_m / record["runs"][0]["random_mean_m"]["add"], abs=1e-3)
-    assert ambiguity[2] == f"{100 * record['runs'][0]['ambiguity']['ambiguous']:.0f}"
+    assert ambiguity[2] == f"{100 * record['runs'][0]['ambiguous']:.0f}"
     assert int(area[2]) == record["runs"][0]["refused"]
-    assert trust[2::2][:3] == [f"{100 * share:.0f}" for share in record["runs"][0]["posterior"]["coverage"]]
+    assert trust[2::2][:3] == [f"{100 * share:.0f}" for share in record["runs"][0]["coverage"]]
     assert max(map(len, done.stdout.splitlines()[:4])) <= 80
     for name in ("results.json", *pictures):
         assert name in done.stdout

@@ -30,9 +30,10 @@ def test_results_by_number_of_contacts_are_written(cli, tmp_path):
         assert min(picture.size) > 250
     lines = [line.split() for line in done.stdout.splitlines()]
     in_mm, shares = [line for line in lines if line[:3] == ["pin", "pixel", "best-1"]]
-    third = record["runs"][0]["lines"]["best-1"][2]
-    assert float(in_mm[5]) == pytest.approx(1e3 * third["metres"]["median"], rel=0.01)
-    assert float(shares[5]) == pytest.approx(third["normalised"]["median"], abs=1e-3)
+    third = record["summary"][2]
+    assert (third["object"], third["line"], third["contacts"]) == ("pin", "best-1", 3)
+    assert float(in_mm[5]) == pytest.approx(1e3 * third["median_m"], rel=0.01)
+    assert float(shares[5]) == pytest.approx(third["median_normalised"], abs=1e-3)
     assert "contacts.png" in done.stdout
 
 
@@ -44,7 +45,7 @@ def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
 
     line = ["evaluate", "--together", "2", "--object", "pin", *FEW, "--seed", 77]
     with monkeypatch.context() as patched:
-        patched.setattr(fusion._Examples, "_locate_example", interrupt)
+        patched.setattr(fusion._FusedExamples, "_locate_example", interrupt)
         stopped = cli(*line)
     assert stopped.exit_code == 130
     assert stopped.stderr.startswith("interrupted: ")

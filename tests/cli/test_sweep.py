@@ -16,7 +16,6 @@ from cli_helpers import FLAT_SENSOR, assert_refused, command, hear_ctrl_c, succe
 from message_helpers import missing
 
 psutil = pytest.importorskip("psutil")  # a dependency of distributed
-pytest.importorskip("pandas")
 pytest.importorskip("pyarrow")
 
 PLAN = """\

@@ -11,14 +11,14 @@ from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.evaluation import fusion
 from tactile_loc.evaluation.fusion import (
-    FUSED_LINES,
     FUSION_LINES,
     MOST_FUSED,
-    FusionEvaluation,
     evaluate_fusion,
     make_fusion_key,
 )
+from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
@@ -40,8 +40,27 @@ def pipe(store: StageStore) -> Localizer:
 
 
 @pytest.fixture(scope="module")
-def evaluation(pipe: Localizer) -> FusionEvaluation:
+def evaluation(pipe: Localizer) -> ExampleTable:
     return evaluate_fusion(pipe, CONTACTS, COUNT, SOURCE)
+
+
+def errors_m(table: ExampleTable, line: str, contacts: int) -> np.ndarray:
+    return table.group("touches")[contacts,].errors_m(line, "add")
+
+
+def shares(table: ExampleTable, line: str, contacts: int) -> np.ndarray:
+    return errors_m(table, line, contacts) / find_scale_m(table)
+
+
+def count_alone(table: ExampleTable, line: str, contacts: int) -> int:
+    return int(table.group("touches")[contacts,][f"{line} alone"].sum())
+
+
+def assert_same(a: ExampleTable, b: ExampleTable) -> None:
+    """Both have the same results for the examples of the first."""
+    b = b.select(b["example"] <= a["example"].max())
+    for name in (*(f"{line} add_m" for line in FUSION_LINES), "best-1 alone", "kinematic alone"):
+        assert (a[name] == b[name]).all()
 
 
 def nearest(localizer: Localizer, touch) -> int:
@@ -57,14 +76,10 @@ def certain(localizer: Localizer, touch) -> PosePosterior:
 
 
 def test_errors_exist_for_every_example_contact_count_and_line(evaluation):
-    assert evaluation.errors_m.shape == (COUNT, len(CONTACTS), len(FUSION_LINES))
-    assert evaluation.alone.shape == (COUNT, len(CONTACTS), len(FUSED_LINES))
-    assert (evaluation.errors_m >= 0).all()
-    shares = [evaluation.normalise_errors("random", n) for n in CONTACTS]
-    assert np.mean(shares) == pytest.approx(1)
-    assert evaluation.select_errors("best-1", 2) == pytest.approx(
-        evaluation.normalise_errors("best-1", 2) * evaluation.compute_scale_m()
-    )
+    labels = list(zip(evaluation["example"], evaluation["touches"], strict=True))
+    assert labels == [(e, n) for e in range(COUNT) for n in CONTACTS]
+    assert all((evaluation.errors_m(line, "add") >= 0).all() for line in FUSION_LINES)
+    assert normalise_errors(evaluation, "random").mean() == pytest.approx(1)
 
 
 def test_one_contact_has_the_error_of_the_single_touch(evaluation, pipe):
@@ -76,8 +91,8 @@ def test_one_contact_has_the_error_of_the_single_touch(evaluation, pipe):
         best = int(pipe.posteriors([touch])[0].log_p.argmax())
         T = pipe.model.grid.T_sensor_object[best]
         error_m = compute_adds(pipe.object, points_m, T[None], touch.T_sensor_object)
-        assert evaluation.select_errors("best-1", 1)[example] == pytest.approx(error_m, rel=0.03)
-    assert evaluation.count_without_common("best-1", 1) == 0
+        assert errors_m(evaluation, "best-1", 1)[example] == pytest.approx(error_m, rel=0.03)
+    assert count_alone(evaluation, "best-1", 1) == 0
 
 
 def test_errors_of_several_contacts_are_those_of_the_fused_posterior(evaluation, pipe):
@@ -88,22 +103,22 @@ def test_errors_of_several_contacts_are_those_of_the_fused_posterior(evaluation,
     fused = pipe.fuser.fuse([pipe.posteriors([t])[0] for t in touches], [invert(t.T_sensor_object) for t in touches])
     T = pipe.model.grid.T_sensor_object[int(fused.log_p.argmax())]
     error_m = compute_adds(pipe.object, points_m, T[None], touches[0].T_sensor_object)
-    assert evaluation.select_errors("best-1", 4)[2] == pytest.approx(error_m, rel=0.03)
+    assert errors_m(evaluation, "best-1", 4)[2] == pytest.approx(error_m, rel=0.03)
 
 
 def test_more_contacts_reduce_the_error_and_kinematic_errors_stay_large(pipe):
     found = evaluate_fusion(pipe, (1, 5), 9, SOURCE)
-    assert found.select_errors("best-1", 5).mean() < found.select_errors("best-1", 1).mean()
-    assert found.select_errors("kinematic", 5).mean() > 1.5 * found.select_errors("best-1", 5).mean()
-    assert found.normalise_errors("kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes no pose
+    assert errors_m(found, "best-1", 5).mean() < errors_m(found, "best-1", 1).mean()
+    assert errors_m(found, "kinematic", 5).mean() > 1.5 * errors_m(found, "best-1", 5).mean()
+    assert shares(found, "kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes no pose
 
 
 def test_certain_touches_find_the_truth(monkeypatch, store):
     monkeypatch.setattr(Localizer, "posteriors", lambda self, touches: [certain(self, touch) for touch in touches])
     localizer = fresh(store, temperature=0.1)  # no other test uses this seed, since results are stored
     found = evaluate_fusion(localizer, (1, 3), 4, SOURCE)
-    assert (found.normalise_errors("best-1", 1) < 0.2).all()
-    assert found.select_errors("best-1", 3).max() <= 2 * localizer.model.grid.spacing_m
+    assert (shares(found, "best-1", 1) < 0.2).all()
+    assert errors_m(found, "best-1", 3).max() <= 2 * localizer.model.grid.spacing_m
 
 
 def test_later_touches_compensate_an_uninformative_first_touch(monkeypatch, store):
@@ -115,7 +130,7 @@ def test_later_touches_compensate_an_uninformative_first_touch(monkeypatch, stor
 
     monkeypatch.setattr(Localizer, "posteriors", first_knows_nothing)
     found = evaluate_fusion(localizer, (1, 4), 6, SOURCE)
-    assert np.median(found.normalise_errors("best-1", 4)) < 0.25 < np.median(found.normalise_errors("best-1", 1))
+    assert np.median(shares(found, "best-1", 4)) < 0.25 < np.median(shares(found, "best-1", 1))
 
 
 def test_contacts_without_a_common_pose_are_counted_and_located_from_the_first(
@@ -129,17 +144,17 @@ def test_contacts_without_a_common_pose_are_counted_and_located_from_the_first(
     for fuser in (ProductFuser, KinematicFuser):
         monkeypatch.setattr(fuser, "fuse", lambda *a, f=fuser.fuse, **k: refuse(*a, **k, fuse=f))
     found = evaluate_fusion(pipe, CONTACTS, 3, SOURCE)
-    assert [found.count_without_common("best-1", n) for n in CONTACTS] == [0, 0, 3]
-    assert found.count_without_common("kinematic", 4) == 3
-    assert (found.select_errors("best-1", 4) == evaluation.select_errors("best-1", 1)[:3]).all()
-    assert (found.select_errors("best-1", 2) == evaluation.select_errors("best-1", 2)[:3]).all()
+    assert [count_alone(found, "best-1", n) for n in CONTACTS] == [0, 0, 3]
+    assert count_alone(found, "kinematic", 4) == 3
+    assert (errors_m(found, "best-1", 4) == errors_m(evaluation, "best-1", 1)[:3]).all()
+    assert (errors_m(found, "best-1", 2) == errors_m(evaluation, "best-1", 2)[:3]).all()
 
 
 def test_equal_seeds_give_equal_errors_and_other_seeds_give_other_errors(evaluation, pipe):
     again = evaluate_fusion(fresh(pipe.store), CONTACTS, 2, SOURCE)
-    assert (again.errors_m == evaluation.errors_m[:2]).all()
+    assert_same(again, evaluation)
     other = evaluate_fusion(pipe, CONTACTS, 2, SimulatedTouches("strong", 4))
-    assert not np.allclose(other.errors_m, evaluation.errors_m[:2])
+    assert not np.allclose(errors_m(other, "best-1", 1), errors_m(evaluation, "best-1", 1)[:2])
 
 
 def test_refused_presses_are_counted(pipe, monkeypatch):
@@ -150,20 +165,20 @@ def test_refused_presses_are_counted(pipe, monkeypatch):
 
     monkeypatch.setattr(SimulatedTouches, "draw_counted", after_refusals)
     found = evaluate_fusion(pipe, (3,), 2, SOURCE)
-    assert found.refused.tolist() == [0 + 1 + 2, 3 * MOST_FUSED + 0 + 1 + 2]
+    assert found["refused"].tolist() == [0 + 1 + 2, 3 * MOST_FUSED + 0 + 1 + 2]
 
 
 def test_requested_contact_counts_do_not_change_the_errors(evaluation, pipe):
     found = evaluate_fusion(pipe, (2,), 2, SOURCE)
     for line in FUSION_LINES:
-        assert (found.select_errors(line, 2) == evaluation.select_errors(line, 2)[:2]).all()
+        assert (errors_m(found, line, 2) == errors_m(evaluation, line, 2)[:2]).all()
 
 
 def test_an_interrupted_evaluation_resumes_with_the_same_errors(evaluation, pipe, monkeypatch):
     pipe.store.remove(make_fusion_key(pipe, CONTACTS, COUNT, SOURCE).digest)
     monkeypatch.setattr(fusion, "SHARD", 2)
     located: list[int] = []
-    example = fusion._Examples._locate_example
+    example = fusion._FusedExamples._locate_example
 
     def interrupted(self, number, *others):
         located.append(number)
@@ -171,19 +186,18 @@ def test_an_interrupted_evaluation_resumes_with_the_same_errors(evaluation, pipe
             raise KeyboardInterrupt
         return example(self, number, *others)
 
-    monkeypatch.setattr(fusion._Examples, "_locate_example", interrupted)
+    monkeypatch.setattr(fusion._FusedExamples, "_locate_example", interrupted)
     with pytest.raises(KeyboardInterrupt):
         evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
     resumed = evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
     assert located == [0, 1, 2, 3, 2, 3]  # the first shard stayed
-    assert (resumed.errors_m == evaluation.errors_m).all()
+    assert_same(resumed, evaluation)
 
 
 def test_a_finished_evaluation_is_not_repeated(evaluation, pipe, monkeypatch):
-    monkeypatch.setattr(fusion._Examples, "locate", lambda *others: pytest.fail("an example was located again"))
+    monkeypatch.setattr(fusion._FusedExamples, "locate", lambda *others: pytest.fail("an example was located again"))
     again = evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
-    assert (again.errors_m == evaluation.errors_m).all()
-    assert (again.alone == evaluation.alone).all()
+    assert_same(again, evaluation)
 
 
 @pytest.mark.slow

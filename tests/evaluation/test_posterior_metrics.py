@@ -12,7 +12,6 @@ from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.evaluation.metrics import (
     LEVELS,
     POSTERIOR_METRICS,
-    PosteriorSummary,
     compute_nees,
     measure_posterior,
 )
@@ -35,10 +34,10 @@ def asked(posterior: PosePosterior, T: np.ndarray, seed: int = 0) -> dict[str, f
 
 def test_a_known_posterior_has_its_known_metrics(posterior):
     found = asked(posterior, posterior.grid.T_sensor_object[2])
-    assert found["nll"] == pytest.approx(-np.log(0.2))
-    assert found["entropy"] == pytest.approx(-(P * np.log(P)).sum())
-    assert found["expected_error"] == pytest.approx(STEP_M * (0.1 * 2 + 0.4 * 1 + 0.3 * 1))
-    assert found["spread"] == pytest.approx(STEP_M * (0.1 * 1 + 0.2 * 1 + 0.3 * 2))
+    assert found["nll_nats"] == pytest.approx(-np.log(0.2))
+    assert found["entropy_nats"] == pytest.approx(-(P * np.log(P)).sum())
+    assert found["expected_error_m"] == pytest.approx(STEP_M * (0.1 * 2 + 0.4 * 1 + 0.3 * 1))
+    assert found["spread_m"] == pytest.approx(STEP_M * (0.1 * 1 + 0.2 * 1 + 0.3 * 2))
     levels = [asked(posterior, posterior.grid.T_sensor_object[2], seed)["credible_level"] for seed in range(400)]
     assert (min(levels), max(levels)) == (pytest.approx(0.7, abs=5e-3), pytest.approx(0.9, abs=5e-3))
     assert np.mean(levels) == pytest.approx(0.8, abs=0.01)
@@ -47,8 +46,8 @@ def test_a_known_posterior_has_its_known_metrics(posterior):
 def test_a_truth_between_poses_counts_as_the_nearest_pose(posterior):
     T = posterior.grid.T_sensor_object[1].copy()
     T[0, 3] += 0.4 * STEP_M
-    assert asked(posterior, T)["nll"] == pytest.approx(-np.log(0.4))
-    assert asked(posterior, T)["expected_error"] == pytest.approx(
+    assert asked(posterior, T)["nll_nats"] == pytest.approx(-np.log(0.4))
+    assert asked(posterior, T)["expected_error_m"] == pytest.approx(
         STEP_M * (0.1 * 1.4 + 0.4 * 0.4 + 0.2 * 0.6 + 0.3 * 1.6)
     )
 
@@ -57,7 +56,7 @@ def test_posterior_metrics_respect_the_symmetry(make_object):
     part = make_object(trimesh.creation.box((0.02, 0.01, 0.01)), "z2")
     grid = PoseGrid(make_transform(np.eye(3), np.zeros((1, 3))), PoseMetric(part))
     turned = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
-    assert asked(PosePosterior(grid, np.zeros(1)), turned)["expected_error"] == pytest.approx(0, abs=1e-9)
+    assert asked(PosePosterior(grid, np.zeros(1)), turned)["expected_error_m"] == pytest.approx(0, abs=1e-9)
 
 
 def test_credible_levels_of_calibrated_posteriors_are_uniform(posterior):
@@ -69,12 +68,6 @@ def test_credible_levels_of_calibrated_posteriors_are_uniform(posterior):
     ]
     held = [(np.array(levels) <= sure).mean() for sure in (0.25, *LEVELS)]
     assert held == pytest.approx((0.25, *LEVELS), abs=0.025)
-
-
-def test_metrics_of_many_touches_are_summarised():
-    metrics = np.array([[1.0, 0.4, 2.0, 1e-3, 2e-3], [3.0, 0.9, 4.0, 3e-3, 4e-3]])
-    summary = PosteriorSummary.of(metrics, 100)
-    assert summary == PosteriorSummary(2.0, pytest.approx(np.log(100)), (0.5, 0.5, 1.0), 3.0, pytest.approx(2e-3), 3e-3)
 
 
 @pytest.mark.parametrize("symmetry", ["none", "z2"])

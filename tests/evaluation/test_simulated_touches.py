@@ -94,9 +94,9 @@ def test_an_evaluation_of_images_has_its_own_key_and_the_same_true_poses(localiz
     shapes = evaluate(localizer, 3, SimulatedTouches(seed=3))
     images = evaluate(localizer, 3, IMAGES)
     # the depth of a photo is measured, and its grid uses this depth
-    np.testing.assert_allclose(shapes.select_errors("random"), images.select_errors("random"), atol=2e-4)
+    np.testing.assert_allclose(shapes.errors_m("random", "add"), images.errors_m("random", "add"), atol=2e-4)
     assert make_evaluation_key(localizer, 3, IMAGES) != make_evaluation_key(localizer, 3, SimulatedTouches(seed=3))
-    assert np.median(images.select_errors("best-1")) < np.median(images.select_errors("random"))
+    assert np.median(images.errors_m("best-1", "add")) < np.median(images.errors_m("random", "add"))
 
 
 def test_the_key_contains_the_calibration(localizer, folder, store, tmp_path):

@@ -7,11 +7,12 @@ import re
 import shutil
 
 import pytest
-from report_helpers import Elements, html_of, page_in, write_evaluation
+from report_helpers import Elements, html_of, make_touch_table, page_in
 
 from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.evaluation.tables import SHOWN
+from tactile_loc.evaluation.paper_tables import SHOWN, write_touch_tables
+from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable
 
 
 @pytest.fixture(scope="module")
@@ -24,31 +25,43 @@ def page(evaluation_folder) -> Elements:
     return Elements(html_of(evaluation_folder))
 
 
+def rows_of(document: dict, run: dict) -> dict[str, list[dict]]:
+    """The rows of a run's summary for ADD, by line."""
+    found: dict[str, list[dict]] = {}
+    for row in document["summary"]:
+        if (row["object"], row["metric"]) == (run["object"], "add"):
+            found.setdefault(row["line"], []).append(row)
+    return found
+
+
 def test_the_page_shows_the_medians_of_the_file(document, page):
     header = next(row for row in page.rows if row[:2] == ["object", "grid poses"])
     assert header[2:] == list(SHOWN)
     for run in document["runs"]:
         lengths, shares = (row for row in page.rows if row[0] == run["object"] and len(row) == len(header))
-        assert lengths[2:] == [format_mm(run["lines"][line]["add"]["metres"]["median"]) for line in SHOWN]
-        assert shares[2:] == [f"{run['lines'][line]['add']['normalised']['median']:.3f}" for line in SHOWN]
+        rows = [rows_of(document, run)[line][0] for line in SHOWN]
+        assert lengths[2:] == [format_mm(row["median_m"]) for row in rows]
+        assert shares[2:] == [f"{row['median_normalised']:.3f}" for row in rows]
 
 
 def test_the_page_shows_the_posterior_metrics_and_times_of_the_file(document, page):
     run = document["runs"][0]
     rows = [row for row in page.rows if row and row[0] == run["object"]]
-    held = [f"{100 * share:.0f} %" for share in run["posterior"]["coverage"]]
-    assert any(row[1:4] == held and row[4] == f"{run['posterior']['nll']:.2f}" for row in rows)
+    held = [f"{100 * share:.0f} %" for share in run["coverage"]]
+    assert any(row[1:4] == held and row[4] == f"{run['nll_nats']:.2f}" for row in rows)
     times = [f"{1e3 * s:.2f}" for s in run["median_seconds"].values()]
     assert any(row[1:] == times for row in rows)
 
 
 def test_scripts_draw_every_touch_s_errors_in_mm(document, evaluation_folder):
     data = page_in(evaluation_folder).data
+    tables = ExampleTable.read(document["examples"]).group("object")
     for drawn, run in zip(data["runs"], document["runs"], strict=True):
-        for line, by_metric in run["errors_m"].items():
-            for metric, errors in by_metric.items():
-                assert drawn["errors_mm"][line][metric] == pytest.approx([1e3 * e for e in errors], rel=1e-5)
-        assert drawn["entropy"] == pytest.approx(run["posterior_metrics"]["entropy"], rel=1e-5)
+        table = tables[run["object"],]
+        for line, by_metric in drawn["errors_mm"].items():
+            for metric, errors_mm in by_metric.items():
+                assert errors_mm == pytest.approx(1e3 * table.errors_m(line, metric), rel=1e-5)
+        assert drawn["entropy"] == pytest.approx(table["entropy_nats"], rel=1e-5)
         assert drawn["random_mm"]["add"] == pytest.approx(1e3 * run["random_mean_m"]["add"])
 
 
@@ -60,24 +73,23 @@ def test_the_page_contains_the_gallery_as_a_small_image(page):
 
 
 def test_runs_of_several_encoders_have_different_names(tmp_path):
-    write_evaluation(tmp_path)
-    document = json.loads((tmp_path / "results.json").read_text())
-    document["runs"].append({**document["runs"][0], "encoder": "moco"})
-    (tmp_path / "results.json").write_text(json.dumps(document))
+    names = [("pin", "pixel"), ("hook", "pixel"), ("pin", "moco")]
+    runs = [EvaluatedRun(make_touch_table(*about, seed=0)) for about in names]
+    write_touch_tables(tmp_path, runs, {"touches": 12, "noise": "mild", "seed": 1, "images": False}, "title")
     assert [run["name"] for run in page_in(tmp_path).data["runs"]] == ["pin, pixel", "hook, pixel", "pin, moco"]
 
 
 def test_the_page_shows_the_contacts_of_the_file(contacts_folder):
     document = json.loads((contacts_folder / "contacts.json").read_text())
     page = Elements(html_of(contacts_folder))
-    (run,) = document["runs"]
+    lines = rows_of(document, document["runs"][0])
     assert page.rows[0] == ["object", "line", "1 contact", "2 contacts", "5 contacts"]
-    for row, (line, entries) in zip(page.rows[1:], run["lines"].items(), strict=False):
+    for row, (line, entries) in zip(page.rows[1:], lines.items(), strict=False):
         assert row[1] == line
-        assert row[2:] == [f"{format_mm(e['metres']['median'])} ({e['normalised']['median']:.3f})" for e in entries]
+        assert row[2:] == [f"{format_mm(e['median_m'])} ({e['median_normalised']:.3f})" for e in entries]
     drawn = page_in(contacts_folder).data["runs"][0]["lines"]["best-1"]
     assert drawn["contacts"] == [1, 2, 5]
-    assert drawn["metres"]["q75"] == pytest.approx([1e3 * e["metres"]["q75"] for e in run["lines"]["best-1"]])
+    assert drawn["metres"]["q75"] == pytest.approx([1e3 * e["q75_m"] for e in lines["best-1"]])
     assert ["pin", "0", "0", "4"] in page.rows  # without a common pose
 
 
@@ -98,7 +110,7 @@ def test_a_wrong_file_gives_a_one_sentence_error(fixture, request, tmp_path):
 def test_nan_in_a_file_gives_a_one_sentence_error(evaluation_folder, tmp_path):
     folder = shutil.copytree(evaluation_folder, tmp_path / "copy")
     text = (folder / "results.json").read_text()
-    (folder / "results.json").write_text(re.sub(r'("entropy": \[\s*)[\d.e-]+', r"\1NaN", text, count=1))
+    (folder / "results.json").write_text(re.sub(r'("entropy_nats": \[\s*)[\d.e-]+', r"\1NaN", text, count=1))
     with pytest.raises(ResultError, match=r"results\.json"):
         page_in(folder)
 

@@ -6,10 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
-from report_helpers import Elements, html_of, page_in
+from report_helpers import Elements, html_of, make_recall_runs, page_in
 
 from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.evaluation.recall import tables
+from tactile_loc.evaluation.summary import measure_recall
+from tactile_loc.evaluation.table import ExampleTable, join_runs
 from tactile_loc.reports import find_source
 from tactile_loc.reports.report import make_page
 
@@ -20,28 +22,28 @@ def folder(recall_folder) -> Path:
 
 
 @pytest.fixture
-def groups(folder) -> list[tables.Group]:
-    return tables.read_groups(json.loads((folder / "recall.json").read_text()))
+def table() -> ExampleTable:
+    return join_runs(make_recall_runs())
 
 
-def test_the_page_shows_the_tables_of_the_file(folder, groups):
+def test_the_page_shows_the_tables_of_the_file(folder, table):
     rows = Elements(html_of(folder)).rows
     for tabulate in (tables.tabulate_recall, tables.tabulate_verdicts, tables.tabulate_bins):
-        for row in tabulate(groups):
+        for row in tabulate(tables.summarise_answers(table)):
             assert row in rows
 
 
-def test_the_main_numbers_are_those_of_all_objects(folder, groups):
+def test_the_main_numbers_are_those_of_all_objects(folder, table):
     text = html_of(folder)
-    for group in groups[-4:]:
-        share = f"{100 * group.outcomes.measure_recall([1e-3])[0]:.0f} %"
+    for some in table.group("noise", "touches").values():
+        share = f"{100 * measure_recall(some, [1e-3])[0]:.0f} %"
         assert f"<dd>{share}</dd>" in text
 
 
-def test_scripts_draw_the_errors_of_every_example_in_mm(folder, groups):
-    drawn = page_in(folder).data["groups"]
-    assert [(g["object"], g["noise"], g["touches"]) for g in drawn] == [(g.object, g.noise, g.touches) for g in groups]
-    errors_mm = sorted(1e3 * groups[0].outcomes.select_errors())
+def test_scripts_draw_the_errors_of_every_example_in_mm(folder, table):
+    drawn, groups = page_in(folder).data["groups"], tables.group_answers(table)
+    assert [tuple(group[name] for name in tables.GROUP) for group in drawn] == list(groups)
+    errors_mm = sorted(1e3 * next(iter(groups.values())).errors_m())
     assert drawn[0]["errors_mm"]["first"]["surface"][:-1] == pytest.approx(errors_mm[:-1], rel=1e-4)
     assert drawn[0]["errors_mm"]["first"]["surface"][-1] == 1e6  # without a pose
 

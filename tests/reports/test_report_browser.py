@@ -18,6 +18,7 @@ from PIL import Image
 from report_helpers import UNFRIENDLY, write_sweep
 
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.streams.frame_sources import SourceFrame
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.located_frame import LocatedFrame
@@ -144,7 +145,9 @@ def test_the_page_of_an_evaluation_is_drawn_and_its_menus_work(show, evaluation_
     browser = show(evaluation_folder)
     assert set(plots(browser)) == {"errors", "curves", "coverage", "entropy", "times"}
     assert min(plots(browser).values()) > 0
-    run = json.loads((evaluation_folder / "results.json").read_text())["runs"][1]
+    document = json.loads((evaluation_folder / "results.json").read_text())
+    run = document["runs"][1]
+    table = ExampleTable.read(document["examples"]).group("object")[run["object"],]
     choose(browser, "object", "1")
     choose(browser, "shape", "box")
     choose(browser, "metric", "mssd")
@@ -152,12 +155,12 @@ def test_the_page_of_an_evaluation_is_drawn_and_its_menus_work(show, evaluation_
     drawn = browser.execute_script(script)
     assert {kind for kind, _, _ in drawn} == {"box"}
     assert {name: values for _, name, values in drawn}["reg-1"] == pytest.approx(
-        [1e3 * e for e in run["errors_m"]["reg-1"]["mssd"]], rel=1e-4
+        1e3 * table.errors_m("reg-1", "mssd"), rel=1e-4
     )
     choose(browser, "scale", "share")
     choose(browser, "line", "best-1")
     x = browser.execute_script("return Array.from(document.getElementById('curves').data[1].x)")
-    expected = sorted(e / run["random_mean_m"]["mssd"] for e in run["errors_m"]["best-1"]["mssd"])
+    expected = sorted(table.errors_m("best-1", "mssd") / run["random_mean_m"]["mssd"])
     assert x == pytest.approx(expected, rel=1e-4)
 
 
@@ -166,15 +169,14 @@ def test_the_page_of_what_run_answers_is_drawn_and_its_menus_work(show, recall_f
     browser = show(recall_folder)
     assert set(plots(browser)) == {"curves", "verdicts-plot", "reliability-plot"}
     assert min(plots(browser).values()) > 0
-    document = json.loads((recall_folder / "recall.json").read_text())
-    (run,) = [run for run in document["runs"] if (run["object"], run["noise"]) == ("hook", "strong")]
+    table = ExampleTable.read(json.loads((recall_folder / "recall.json").read_text())["examples"])
     for name, value in (("object", "hook"), ("noise", "strong"), ("kind", "listed"), ("metric", "mssd")):
         choose(browser, name, value)
     x, y = browser.execute_script(
         "const t = document.getElementById('curves').data[1]; return [Array.from(t.x), Array.from(t.y)]"
     )
-    errors = run["results"][1]["each_example"]["listed_errors_m"]["mssd"]
-    known = sorted(1e3 * e for e in errors if e is not None and 1e3 * e <= 50)
+    errors = 1e3 * table.group("object", "noise", "touches")["hook", "strong", 3].errors_m("listed", "mssd")
+    known = sorted(errors[errors <= 50])
     assert x[1:-1] == pytest.approx([max(e, 0.02) for e in known], rel=1e-4)
     assert y[-1] == pytest.approx(100 * len(known) / len(errors))
 

@@ -206,7 +206,7 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
 
 def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
     """Write the results of a sweep, show them, and return a summary."""
-    from tactile_loc.evaluation.sweep.results import write_sweep
+    from tactile_loc.reports.sweep_figures import write_sweep
 
     files = write_sweep(out, found, line)
     _say_medians(found, line)
@@ -227,17 +227,13 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
 
 def _say_medians(found: Sweep, line: str) -> None:
     """Show the median errors, best first."""
-    from tactile_loc.evaluation.sweep.results import FAILED, pivot
+    from tactile_loc.evaluation.sweep.results import tabulate_medians
 
     medians = found.compute_medians(line)
     for noise in found.plan.noises:
-        errors_mm = pivot(medians, noise)
-        rows = [
-            [str(label), *(FAILED if value != value else f"{value:.3g}" for value in row)]
-            for label, row in zip(errors_mm.index, errors_mm.to_numpy(), strict=True)
-        ]
+        header, *rows = tabulate_medians(medians, noise, lambda error_mm, _: f"{error_mm:.3g}")
         say(f"median error in mm (line {line}, noise {noise})")
-        say_table([["components", *errors_mm.columns], *rows[:MOST_SHOWN]], left=1)
+        say_table([header, *rows[:MOST_SHOWN]], left=1)
         if len(rows) > MOST_SHOWN:
             say(f"{len(rows) - MOST_SHOWN} more rows are in sweep.md")
 
@@ -250,17 +246,17 @@ def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
     if old is None:
         raise ConfigError("no plan is given; give a plan file, or options such as --refiner none,icp")
     comparison = compare(read_sweep(old), read_sweep(new), line)
-    table = format_texts(comparison)
+    rows = format_texts(comparison)
     files = write_comparison(new, comparison)
-    changed = table[table["change"] != ""].to_numpy().tolist()
+    changed = [list(row.values()) for row in rows if row["change"]]
     if changed:
-        say_table([list(table.columns), *changed[:MOST_SHOWN]], left=len(table.columns) - 4)
+        say_table([list(rows[0]), *changed[:MOST_SHOWN]], left=len(rows[0]) - 4)
     say(summarise(comparison))
     for name, (before, after) in comparison.versions.items():
         say(f"{name}: {before} -> {after}")
-    marks = {mark: comparison.count(mark) for mark in sorted({*table["change"]} - {""})}
+    marks = {mark: comparison.count(mark) for mark in sorted({row["change"] for row in rows} - {""})}
     return {
-        "combinations": len(table),
+        "combinations": len(rows),
         "line": line,
         "changes": marks,
         "versions": comparison.versions,

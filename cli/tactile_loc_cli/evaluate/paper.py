@@ -17,15 +17,12 @@ from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel
-    from tactile_loc.evaluation.fusion_tables import FusionRun
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-    from tactile_loc.evaluation.tables import Run
+    from tactile_loc.evaluation.table import EvaluatedRun
     from tactile_loc.io.config import RunConfig
 
 DEFAULT_NOISE = "strong"
 DEFAULT_COUNT, CONTACT_COUNT = 150, 100
-# Keys of the files whose lists have an item for each touch.
-OF_EACH_TOUCH = ("errors_m", "posterior_metrics", "ambiguity_ratios", "contact_shares")
 
 
 def evaluate_paper(given: RunOptions, asked: Asked) -> dict[str, Any]:
@@ -67,21 +64,19 @@ class _Plan:
     out: Path
     store: Path | None
 
-    def work(self, settings: RunConfig, obj: ObjectModel) -> Run:
+    def work(self, settings: RunConfig, obj: ObjectModel) -> EvaluatedRun:
         """Evaluate an object with an encoder, draw its gallery, and return the results."""
-        from tactile_loc.evaluation.figures import draw_gallery
         from tactile_loc.evaluation.protocol import evaluate as run_protocol
-        from tactile_loc.evaluation.tables import Run
+        from tactile_loc.evaluation.table import EvaluatedRun
+        from tactile_loc.reports.evaluation_figures import draw_gallery
         from tactile_loc.view.pictures import save_figure
 
         localizer = options.open_localizer(settings, self.store, obj)
         encoder = settings.encoder.name
-        evaluation = run_protocol(localizer, self.count, self.touches)
+        table = run_protocol(localizer, self.count, self.touches)
         title = f"{obj.name} with {encoder}: best, median and worst of {self.describe('touch')}"
-        figure = draw_gallery(localizer, evaluation, self.touches, title)
-        save_figure(self.out / _name_gallery(obj.name, encoder), figure)
-        poses = len(localizer.model.grid)
-        return Run(obj.name, str(obj.symmetry), encoder, poses, evaluation, settings.resolve())
+        save_figure(self.out / _name_gallery(obj.name, encoder), draw_gallery(localizer, table, self.touches, title))
+        return EvaluatedRun(table, settings.resolve())
 
     def describe(self, noun: str) -> str:
         """Return the number and kind of the touches or examples, in words."""
@@ -92,105 +87,102 @@ def _name_gallery(name: str, encoder: str) -> str:
     return f"gallery-{shorten_name(name)}-{encoder}.png"
 
 
-def _report(plan: _Plan, runs: Sequence[Run]) -> dict[str, Any]:
-    from tactile_loc.evaluation.figures import draw_reliability, draw_violins
-    from tactile_loc.evaluation.tables import (
-        record_runs,
-        tabulate_ambiguity,
-        tabulate_areas,
-        tabulate_medians,
-        tabulate_posteriors,
-        write_tables,
-    )
+def _report(plan: _Plan, runs: Sequence[EvaluatedRun]) -> dict[str, Any]:
+    from tactile_loc.evaluation import paper_tables
+    from tactile_loc.evaluation.table import join_runs
+    from tactile_loc.reports.evaluation_figures import draw_reliability, draw_violins
     from tactile_loc.view.pictures import save_figure
 
     heading = f"Localisation from one touch: {plan.describe('touch')} for each object, seed {plan.touches.seed}"
-    protocol = {"touches": plan.count, **dataclasses.asdict(plan.touches)}
-    written = write_tables(plan.out, runs, protocol, heading)
-    written.append(save_figure(plan.out / "violins.png", draw_violins(runs, heading)))
-    written.append(save_figure(plan.out / "reliability.png", draw_reliability(runs, heading)))
-    written += [plan.out / _name_gallery(run.object, run.encoder) for run in runs]
-    for title, table in (
-        ("median ADD, mm", tabulate_medians(runs)),
-        ("median ADD divided by the mean ADD of random poses", tabulate_medians(runs, normalised=True)),
+    protocol, table = {"touches": plan.count, **dataclasses.asdict(plan.touches)}, join_runs(runs)
+    written = paper_tables.write_touch_tables(plan.out, runs, protocol, heading)
+    written.append(save_figure(plan.out / "violins.png", draw_violins(table, heading)))
+    written.append(save_figure(plan.out / "reliability.png", draw_reliability(table, heading)))
+    written += [plan.out / _name_gallery(*names) for names in table.group("object", "encoder")]
+    document = paper_tables.record_touches(runs, protocol)
+    lines, rows = document["summary"], document["runs"]
+    for title, some in (
+        ("median ADD, mm", paper_tables.tabulate_medians(lines, paper_tables.format_median)),
+        (
+            "median ADD divided by the mean ADD of random poses",
+            paper_tables.tabulate_medians(lines, paper_tables.format_share_of_random),
+        ),
         (
             "share of ambiguous touches; median ADD of all touches and of the unambiguous ones, mm",
-            tabulate_ambiguity(runs),
+            paper_tables.tabulate_ambiguity(rows, lines),
         ),
         (
             "by contact area, % of the sensor: median ADD of chosen, mm, share within 1 mm, (number of touches)",
-            tabulate_areas(runs),
+            paper_tables.tabulate_areas(rows),
         ),
         (
             "coverage: share of true poses in the credible sets; means of likelihood, entropy and expected error",
-            tabulate_posteriors(runs),
+            paper_tables.tabulate_posteriors(rows),
         ),
     ):
         say(title)
-        say_table(table)
+        say_table(some)
         say()
-    return _summarise(record_runs(runs, protocol), written)
+    return _summarise(document, written)
 
 
 def _summarise(document: dict[str, Any], written: Sequence[Path]) -> dict[str, Any]:
     """Print the paths of the files. Return an evaluation's document with these paths, without each touch's numbers."""
-    return {**_drop_touches(document), "written": say_written(written)}
-
-
-def _drop_touches(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _drop_touches(item) for key, item in value.items() if key not in OF_EACH_TOUCH}
-    return [_drop_touches(item) for item in value] if isinstance(value, list) else value
+    del document["examples"]
+    return {**document, "written": say_written(written)}
 
 
 def _evaluate_fusion(jobs: Sequence[Job], contacts: Sequence[int], plan: _Plan) -> dict[str, Any]:
     """Evaluate each object with each encoder and each number of contacts; write, show and return the results."""
     from tactile_loc.evaluation.fusion import evaluate_fusion
-    from tactile_loc.evaluation.fusion_tables import FusionRun
+    from tactile_loc.evaluation.table import EvaluatedRun
 
     runs = []
     for config, obj in jobs:
         localizer = options.open_localizer(config, plan.store, obj)
-        evaluation = evaluate_fusion(localizer, contacts, plan.count, plan.touches)
-        about = obj.name, str(obj.symmetry), config.encoder.name, len(localizer.model.grid)
-        runs.append(FusionRun(*about, evaluation, config.resolve()))
+        runs.append(EvaluatedRun(evaluate_fusion(localizer, contacts, plan.count, plan.touches), config.resolve()))
     return _report_fusion(runs, plan)
 
 
-def _report_fusion(runs: Sequence[FusionRun], plan: _Plan) -> dict[str, Any]:
-    from tactile_loc.evaluation.figures import draw_fusion
-    from tactile_loc.evaluation.fusion_tables import record_runs, tabulate_medians, write_fusion_tables
+def _report_fusion(runs: Sequence[EvaluatedRun], plan: _Plan) -> dict[str, Any]:
+    from tactile_loc.evaluation import paper_tables
+    from tactile_loc.evaluation.fusion import FUSED_LINES
+    from tactile_loc.evaluation.table import join_runs
+    from tactile_loc.reports.evaluation_figures import draw_contacts
     from tactile_loc.view.pictures import save_figure
 
     heading = (
         f"Localisation from several contacts: {plan.describe('example')} for each object, seed {plan.touches.seed}"
     )
     protocol = {"examples": plan.count, **dataclasses.asdict(plan.touches)}
-    written = write_fusion_tables(plan.out, runs, protocol, heading)
-    written.append(save_figure(plan.out / "contacts.png", draw_fusion(runs, heading)))
-    for title, (header, *rows) in (
-        ("median ADD by number of contacts, mm", tabulate_medians(runs)),
-        ("median ADD divided by the mean ADD of random poses", tabulate_medians(runs, normalised=True)),
+    written = paper_tables.write_contact_tables(plan.out, runs, protocol, heading)
+    written.append(save_figure(plan.out / "contacts.png", draw_contacts(join_runs(runs), heading)))
+    document = paper_tables.record_contacts(runs, protocol)
+    fused = [row for row in document["summary"] if row["line"] in FUSED_LINES]
+    for title, cell in (
+        ("median ADD by number of contacts, mm", paper_tables.format_median),
+        ("median ADD divided by the mean ADD of random poses", paper_tables.format_share_of_random),
     ):
+        header, *rows = paper_tables.tabulate_contacts(fused, cell)
         say(title)
         say_table([[head.split()[0] for head in header], *rows], left=3)
         say()
-    for run in runs:
-        _say_left_out(run)
-    return _summarise(record_runs(runs, protocol), written)
+    for run in document["runs"]:
+        _say_left_out(run, fused)
+    return _summarise(document, written)
 
 
-def _say_left_out(run: FusionRun) -> None:
+def _say_left_out(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
     """Report how many examples have no pose that touches all sensors, and how many presses showed no touch."""
-    found = run.evaluation
-    counts = {n: found.count_without_common("best-1", n) for n in found.contacts}
+    own = {"object": run["object"], "encoder": run["encoder"], "line": "best-1"}
+    counts = {row["contacts"]: row["without_common"] for row in rows if own.items() <= row.items()}
     if any(counts.values()):
         listed = ", ".join(f"{count} with {n}" for n, count in counts.items() if count)
         say(
-            f"{run.object}: no pose touches all sensors in some examples, which are located from the first contact "
+            f"{run['object']}: no pose touches all sensors in some examples, which are located from the first contact "
             f"alone: {listed} contacts"
         )
         say()
-    if found.refused.any():
-        say(f"{run.object}: {found.refused.sum()} presses made no contact and were replaced by others")
+    if run["refused"]:
+        say(f"{run['object']}: {run['refused']} presses made no contact and were replaced by others")
         say()

@@ -13,8 +13,8 @@ from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
     from tactile_loc.evaluation.recall.examples import Examples
-    from tactile_loc.evaluation.recall.summary import RecallRun
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+    from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable
     from tactile_loc.locate.localizer import Localizer
 
 DEFAULT_COUNT, DEFAULT_TOGETHER, DEFAULT_NOISES = 20, (1, 2, 3), ("none", "strong")
@@ -29,11 +29,10 @@ def evaluate_answers(given: RunOptions, asked: Asked) -> dict[str, Any]:
         runs, about = _evaluate_own(given, asked)
     else:
         runs, about = _evaluate_simulated(given, asked)
-    _require_located(runs)
     return _report(runs, about, asked)
 
 
-def _evaluate_simulated(given: RunOptions, asked: Asked) -> tuple[list[RecallRun], dict[str, Any]]:
+def _evaluate_simulated(given: RunOptions, asked: Asked) -> tuple[list[EvaluatedRun], dict[str, Any]]:
     """Return the results of simulated touches, and what was simulated."""
     from tactile_loc.evaluation.recall.examples import DrawnExamples
 
@@ -45,7 +44,7 @@ def _evaluate_simulated(given: RunOptions, asked: Asked) -> tuple[list[RecallRun
         localizer = options.open_localizer(job[0], asked.store, job[1])
         for source in sources:
             examples = DrawnExamples(localizer, source, count, together[-1])
-            runs.append(_evaluate(job, localizer, examples, together, source.noise, source.seed))
+            runs.append(_evaluate(job, localizer, examples, together))
     noises = list(dict.fromkeys(source.noise for source in sources))
     return runs, {"examples": count, "noises": noises, "seeds": list(asked.seeds), "images": asked.images}
 
@@ -61,10 +60,10 @@ def _list_sources(given: RunOptions, asked: Asked) -> Iterator[SimulatedTouches]
             yield SimulatedTouches(str(noise), seed, asked.images)
 
 
-def _evaluate_own(given: RunOptions, asked: Asked) -> tuple[list[RecallRun], dict[str, Any]]:
+def _evaluate_own(given: RunOptions, asked: Asked) -> tuple[list[EvaluatedRun], dict[str, Any]]:
     """Return the results of the user's own touches, and where they come from."""
     from tactile_loc.evaluation.fusion import MOST_FUSED
-    from tactile_loc.evaluation.recall.labelled import KIND, LabelledExamples
+    from tactile_loc.evaluation.recall.labelled import LabelledExamples
 
     jobs = list_jobs(given, asked.objects, asked.encoders, None)
     _require_one_object(jobs, asked)
@@ -74,7 +73,7 @@ def _evaluate_own(given: RunOptions, asked: Asked) -> tuple[list[RecallRun], dic
         examples = LabelledExamples.read(localizer, asked.touches)
         together = asked.together or tuple(range(1, min(examples.most, MOST_FUSED) + 1))
         examples.require_touches(together)
-        runs.append(_evaluate(job, localizer, examples, together, KIND, None))
+        runs.append(_evaluate(job, localizer, examples, together))
     return runs, {"examples": examples.count, "touches": [str(path) for path in asked.touches]}
 
 
@@ -87,58 +86,52 @@ def _require_one_object(jobs: Sequence[Job], asked: Asked) -> None:
         raise ConfigError(f"--touches {asked.touches[0]} are of one object; give one --object")
 
 
-def _evaluate(
-    job: Job, localizer: Localizer, examples: Examples, together: Sequence[int], noise: str, seed: int | None
-) -> RecallRun:
+def _evaluate(job: Job, localizer: Localizer, examples: Examples, together: Sequence[int]) -> EvaluatedRun:
     from tactile_loc.evaluation.recall.evaluation import evaluate_recall
-    from tactile_loc.evaluation.recall.summary import RecallRun, measure_diameter
+    from tactile_loc.evaluation.table import EvaluatedRun
 
-    settings, obj = job
-    found = evaluate_recall(localizer, examples, together)
-    about = obj.name, str(obj.symmetry), measure_diameter(obj.mesh), settings.encoder.name
-    return RecallRun(*about, noise, seed, found, settings.resolve())
+    return EvaluatedRun(evaluate_recall(localizer, examples, together), job[0].resolve())
 
 
-def _require_located(runs: Sequence[RecallRun]) -> None:
+def _require_located(table: ExampleTable) -> None:
     """Raise TouchError with the first reason if every example was refused."""
     from tactile_loc.evaluation.recall.tables import list_problems
+    from tactile_loc.evaluation.table import LABELS
+    from tactile_loc.locate.result.verdict import REFUSED
 
-    if all(run.evaluation.is_refused.all() for run in runs):
-        refused = sum(len(run.evaluation) for run in runs)
-        raise TouchError(
-            f"no example can be located ({format_count(refused, 'example')} refused); first reason: "
-            f"{list_problems(runs)[0][0]}"
-        )
+    if (table["verdict"] == REFUSED).all():
+        refused = format_count(len(table.group(*LABELS[:-1])), "example")
+        raise TouchError(f"no example can be located ({refused} refused); first reason: {list_problems(table)[0][0]}")
 
 
-def _report(runs: Sequence[RecallRun], about: dict[str, Any], asked: Asked) -> dict[str, Any]:
+def _report(runs: Sequence[EvaluatedRun], about: dict[str, Any], asked: Asked) -> dict[str, Any]:
     """Write the results and their pictures, print the tables, and return the results as JSON values."""
     from tactile_loc.evaluation.recall import tables
     from tactile_loc.evaluation.recall.bop import make_scenes, write_bop
-    from tactile_loc.evaluation.recall.figure import draw_recall
+    from tactile_loc.evaluation.table import join_runs
+    from tactile_loc.reports.evaluation_figures import draw_recall
     from tactile_loc.view.pictures import save_figure
 
-    heading = _write_heading(about)
+    table, heading = join_runs(runs), _write_heading(about)
+    _require_located(table)
     written = tables.write_recall_tables(asked.out, runs, about, heading)
-    written.append(save_figure(asked.out / f"{tables.NAME}.png", draw_recall(runs, heading)))
-    written += write_bop(asked.out, make_scenes(runs))
-    groups = tables.group_runs(runs)
-    for title, table in (
+    written.append(save_figure(asked.out / f"{tables.NAME}.png", draw_recall(table, heading)))
+    written += write_bop(asked.out, make_scenes(table))
+    rows = tables.summarise_answers(table)
+    for title, some in (
         (
             "share of examples with a smaller surface distance: first pose (any listed pose)",
-            tables.tabulate_recall(groups),
+            tables.tabulate_recall(rows),
         ),
-        ("verdicts; certain: share within 1 mm (95 % interval)", tables.tabulate_verdicts(groups)),
-        ("probability of the first pose: mean, share within 1 mm (examples)", tables.tabulate_bins(groups)),
+        ("verdicts; certain: share within 1 mm (95 % interval)", tables.tabulate_verdicts(rows)),
+        ("probability of the first pose: mean, share within 1 mm (examples)", tables.tabulate_bins(rows)),
     ):
         say(title)
-        say_table(_drop_single(table), left=2)
+        say_table(_drop_single(some), left=2)
         say()
-    _say_left_out(runs)
+    _say_left_out(table)
     document = tables.record_runs(runs, about)
-    for run in document["runs"]:
-        for result in run["results"]:
-            del result[tables.EACH]
+    del document["examples"]
     return {**document, "written": say_written(written)}
 
 
@@ -163,13 +156,11 @@ def _drop_single(table: list[list[str]]) -> list[list[str]]:
     return [[*row[:column], *row[column + 1 :]] for row in table]
 
 
-def _say_left_out(runs: Sequence[RecallRun]) -> None:
+def _say_left_out(table: ExampleTable) -> None:
     """Report how many presses made no touch, and why examples have no pose."""
-    from tactile_loc.evaluation.recall.tables import count_refused, list_problems
+    from tactile_loc.evaluation.recall.tables import list_problems
 
-    refused = count_refused(runs)
-    if refused:
+    if refused := table.count_refused():
         say(f"{format_count(refused, 'press')} without a usable touch, replaced by other presses")
-    others = say_reasons(list_problems(runs))
-    if others:
+    if others := say_reasons(list_problems(table)):
         say(f"and {format_count(others, 'other reason')}, in recall.md")

@@ -7,13 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.core.runtime.limits import list_values, require_table
 from tactile_loc.evaluation.recall.bop import write_bop
-from tactile_loc.evaluation.recall.tables import format_share
-from tactile_loc.evaluation.sweep.results import write_parquet
-from tactile_loc.evaluation.sweep.sweep import require_tables
-from tactile_loc.evaluation.tabular import Table, format_json, format_markdown, write_texts
+from tactile_loc.evaluation.text_tables import (
+    Table,
+    format_length,
+    format_markdown,
+    format_share,
+    read_parquet,
+    require_parquet,
+    write_parquet,
+    write_texts,
+)
 from tactile_loc.io.streams.records import read_document
 from tactile_loc.reports.page import name_damage
 
@@ -45,10 +49,10 @@ def write_benchmark(out: Path, results: Results, pictures: Sequence[Mapping[str,
     `pictures` shows a touch of each source: see `page.show_sources`.
     """
     document = {**record_benchmark(results), "pictures": list(pictures)}
-    written = write_texts(out, NAME, json=format_json(document), md=format_summary(results))
+    written = write_texts(out, NAME, document, md=format_summary(results))
     if results.rows:
-        written += write_texts(out, "leaderboard", json=format_json(record_leaderboard(results)))
-        written.append(write_parquet(out / ROWS, make_table(results)))
+        written += write_texts(out, "leaderboard", record_leaderboard(results))
+        written.append(write_parquet(out / ROWS, list_rows(results)))
         ids, *_ = write_bop(out, make_scenes(results.rows), "benchmark")
         written.append(ids.parent)
     return written
@@ -67,7 +71,7 @@ def record_benchmark(results: Results) -> dict[str, Any]:
 def read_benchmark(folder: Path) -> tuple[Results, list[Mapping[str, Any]]]:
     """Return the results, with rows without poses, and the pictures that `write_benchmark` wrote into a folder.
 
-    Raises ResultError if a file is missing or damaged, or if there are no rows, and MissingLibraryError without pandas.
+    Raises ResultError if a file is missing or damaged, or if there are no rows.
     """
     path = folder / f"{NAME}.json"
     document = read_document(path)
@@ -85,29 +89,17 @@ def _read_used(document: Mapping[str, Any], kind: str, entry: Entry) -> dict[str
     return {"label": entry.label, **described, "problem": document["left_out"].get(entry.label, "")}
 
 
-def make_table(results: Results) -> Any:
-    """Return all rows as a pandas table, without the listed poses."""
-    import pandas as pd
-
-    return pd.DataFrame([{key: value for key, value in row.items() if key not in POSES} for row in results.rows])
+def list_rows(results: Results) -> list[Row]:
+    """Return all rows, without the listed poses."""
+    return [{key: value for key, value in row.items() if key not in POSES} for row in results.rows]
 
 
 def _read_rows(path: Path) -> list[Row]:
-    """Return the rows of `make_table`. Values that a row lacks are left out."""
-    require_tables("a benchmark", "benchmark")
-    from pyarrow import parquet
-
+    """Return the rows of `list_rows` from a file. Values that a row lacks are left out."""
+    require_parquet("a benchmark")
     if not path.is_file():
         raise ResultError(f"there is no file {path}: no job of the benchmark has succeeded, or the file was moved")
-    try:
-        table = parquet.read_table(path, read_dictionary=require_table(parquet.read_metadata(path)))
-    except (OSError, ValueError) as error:
-        raise ResultError(f"{path} cannot be read ({error}); run the benchmark again") from error
-    rows = zip(*map(list_values, table.columns), strict=True)
-    return [
-        {key: value for key, value in zip(table.column_names, row, strict=True) if value is not None and value == value}
-        for row in rows
-    ]
+    return read_parquet(path, "run the benchmark again")
 
 
 def describe_suite(results: Results) -> str:
@@ -170,16 +162,12 @@ def list_cells(group: Group) -> Iterator[str]:
     for number, share in enumerate(group.within):
         yield format_within(group, number) if number == near else format_share(share)
     yield format_share(group.listed_within[near])
-    yield _format_length(group.median_m)
+    yield format_length(group.median_m)
     yield f"{format_share(group.determined_within_1_mm)} of {group.determined}"
-    yield _format_length(group.median_determined_m)
+    yield format_length(group.median_determined_m)
     yield f"{group.auc:.2f}"
     yield f"{group.average_recall_mssd:.2f}"
     yield "-" if group.calibration_error is None else f"{group.calibration_error:.2f}"
     yield format_share(group.covered)
     yield f"{group.certain_right} of {group.certain}" if group.certain else "-"
     yield "-" if group.median_s is None else f"{1e3 * group.median_s:.0f} ms"
-
-
-def _format_length(length_m: float | None) -> str:
-    return "-" if length_m is None else format_mm(length_m)

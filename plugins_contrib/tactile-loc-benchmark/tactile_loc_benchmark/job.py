@@ -17,9 +17,8 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import AnswerError, ConfigError, TactileLocError
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.protocol import sample_surface
-from tactile_loc.evaluation.recall.evaluation import METRICS, RIGHT_M, measure_pose_errors
-from tactile_loc.evaluation.recall.summary import measure_diameter
+from tactile_loc.evaluation.metrics import METRICS, PoseJudge
+from tactile_loc.evaluation.summary import RIGHT_M
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_code
@@ -79,7 +78,7 @@ class LocatingJob:
             for n in self._list_counts(drawer):
                 about = {"example": number, "touches": n, "refused": int(examples.refused[number])}
                 rows.append({**about, **_locate(method, problem, touches, n, judge, T_base_object)})
-        return {"rows": rows, "prepared_s": round(prepared_s, 3), "diameter_m": measure_diameter(obj.mesh)}
+        return {"rows": rows, "prepared_s": round(prepared_s, 3), "diameter_m": judge.poses.diameter_m}
 
     def _list_counts(self, drawer: ExampleDrawer) -> list[int]:
         """Return the numbers of touches; recorded touches are located alone."""
@@ -128,7 +127,7 @@ class AnswerJudge:
         `covered` tells whether the first poses that hold COVERED of the probability include a right one.
         """
         poses = answer.T_base_object[:LISTED]
-        errors_m = measure_pose_errors(self.object, self._points_m, poses, T_base_object)
+        errors_m = self.poses.measure_errors(poses, T_base_object)
         surface_m = errors_m[:, METRICS.index("surface")]
         row: Row = {"verdict": answer.verdict, "determined": self._is_determined(poses, surface_m, touches)}
         for k, metric in enumerate(METRICS):
@@ -155,5 +154,6 @@ class AnswerJudge:
         return not bool(explain_as_well(np.mean(ious, axis=0), float(np.mean(true))).any())
 
     @cached_property
-    def _points_m(self) -> NDArray[np.float64]:
-        return sample_surface(self.object)
+    def poses(self) -> PoseJudge:
+        """What measures the poses."""
+        return PoseJudge(self.object)

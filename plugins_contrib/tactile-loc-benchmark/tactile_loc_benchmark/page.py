@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.evaluation.recall.summary import Outcomes, bin_probabilities
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.toml import format_toml
+from tactile_loc.reports.evaluation import collect_bins, sort_errors_mm
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import draw_shape, encode_photo
 from tactile_loc.store.store import StageStore
@@ -26,16 +26,15 @@ from tactile_loc_benchmark.files import (
 from tactile_loc_benchmark.prepare import PreparedSource
 from tactile_loc_benchmark.results import Results
 from tactile_loc_benchmark.runner import Benchmark
-from tactile_loc_benchmark.summary import WITHIN_M, Group, find_determined, group_rows, make_outcomes
+from tactile_loc_benchmark.summary import WITHIN_M, Group, find_determined, group_rows, make_examples
 
-BEYOND_MM = 1e6  # stands for the error of an example without a pose
 DIGITS = 4
 
 
 def make_benchmark_page(results: Results, pictures: Sequence[Mapping[str, Any]]) -> Page:
     """Return the page of a benchmark with rows. `pictures` is the result of `show_sources`."""
     groups, determined = results.groups, find_determined(results.rows)
-    outcomes = [make_outcomes(rows, determined) for rows in group_rows(results.rows).values()]
+    tables = [make_examples(rows, determined) for rows in group_rows(results.rows).values()]
     sections = [
         Section("summary", "", {"numbers": list(_list_numbers(results)), **_list_choices(groups)}),
         Section("success", "Success"),
@@ -49,7 +48,7 @@ def make_benchmark_page(results: Results, pictures: Sequence[Mapping[str, Any]])
         Section("made", "Settings", {"suite": _format_suite(results), "versions": list(results.versions.items())}),
     ]
     data = {
-        "groups": [_collect_group(group, of) for group, of in zip(groups, outcomes, strict=True)],
+        "groups": [_collect_group(group, of) for group, of in zip(groups, tables, strict=True)],
         "methods": list(dict.fromkeys(group.method for group in groups)), "within_mm": [1e3 * m for m in WITHIN_M],
     }  # fmt: skip
     title = f"Benchmark: {results.suite.name}"
@@ -76,26 +75,19 @@ def _list_choices(groups: Sequence[Group]) -> dict[str, Any]:
     }
 
 
-def _collect_group(group: Group, outcomes: Outcomes) -> dict[str, Any]:
+def _collect_group(group: Group, table: ExampleTable) -> dict[str, Any]:
     """Return the values of a group for the page's scripts, in mm, % and seconds."""
     return {
-        "source": group.source, "method": group.method, "touches": group.touches, "examples": group.examples,
+        "source": group.source,
+        "method": group.method,
+        "touches": group.touches,
+        "examples": group.examples,
         "within": [100 * share for share in group.within],
         "ranges": [[100 * low, 100 * high] for low, high in group.within_range],
         "seconds": group.median_s,
-        "errors_mm": {
-            kind: _round_mm(outcomes.select_errors(listed=listed))
-            for kind, listed in (("first", False), ("listed", True))
-        },
-        "bins": [
-            {"stated": 100 * b.stated, "right": 100 * b.right, "examples": b.examples}
-            for b in bin_probabilities(outcomes) if b.stated is not None and b.right is not None
-        ],
-    }  # fmt: skip
-
-
-def _round_mm(errors_m: NDArray[np.float64]) -> list[float]:
-    return [float(f"{min(1e3 * e, BEYOND_MM):.{DIGITS}g}") for e in np.sort(errors_m)]
+        "errors_mm": {line: sort_errors_mm(table.errors_m(line), DIGITS) for line in ("first", "listed")},
+        "bins": list(collect_bins(table)),
+    }
 
 
 def show_sources(found: Benchmark, store: StageStore) -> Iterator[Mapping[str, Any]]:

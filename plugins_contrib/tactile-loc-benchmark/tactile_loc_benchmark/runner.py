@@ -14,7 +14,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.evaluation.jobs import JobOutcome, QueuedJob, Workers, resume_jobs
-from tactile_loc.evaluation.sweep.sweep import require_tables
+from tactile_loc.evaluation.text_tables import require_parquet
 from tactile_loc.io.streams.records import read_versions
 from tactile_loc.store.files import require_writable
 from tactile_loc.store.keys import hash_shortly
@@ -116,7 +116,7 @@ def run_benchmark(
     instance because its library is missing, has no cells and states its `problem`. All workers share the stage store in
     the folder `store`. Raises TactileLocError for a wrong suite or `out`, or if nothing can be used, before any job.
     """
-    require_tables("a benchmark", "benchmark")
+    require_parquet("a benchmark")
     require_writable(out)
     progress = progress or Progress()
     sources, methods = _prepare(suite, store, progress)

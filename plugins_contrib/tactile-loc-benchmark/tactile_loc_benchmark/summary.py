@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.evaluation.recall.evaluation import METRICS, RIGHT_M
-from tactile_loc.evaluation.recall.summary import CURVE_M, Outcomes, average_mssd_recall, bin_probabilities
-from tactile_loc.evaluation.recall.tables import format_share
+from tactile_loc.evaluation.metrics import METRICS
+from tactile_loc.evaluation.summary import ExampleSummary, find_median, find_right
+from tactile_loc.evaluation.table import ExampleTable
+from tactile_loc.evaluation.text_tables import format_share
 from tactile_loc.locate.result.verdict import Verdict
 
 from tactile_loc_benchmark.job import Row
@@ -106,44 +107,60 @@ def name_example(row: Row) -> tuple[str, str, int, int]:
     return row["source"], row["object"], row["example"], row["touches"]
 
 
-def make_outcomes(rows: Sequence[Row], determined: dict[tuple[str, str, int, int], bool]) -> Outcomes:
-    """Return rows of one group as outcomes of an evaluation."""
-    errors_mm = [
-        [[row.get(f"{prefix}{metric}_mm", np.inf) for metric in METRICS] for prefix in ("", "listed_")] for row in rows
-    ]
-
-    def gather(name: str, missing: Any) -> NDArray[Any]:
-        return np.array([row.get(name, missing) for row in rows])
-
-    return Outcomes(
-        1e-3 * np.array(errors_mm, float), gather("probability", np.nan).astype(float), gather("verdict", ""),
-        gather("problem", ""), np.array([determined[name_example(row)] for row in rows]),
-        gather("seconds", np.nan).astype(float), gather("diameter_m", np.nan).astype(float),
-    )  # fmt: skip
+def make_examples(rows: Sequence[Row], determined: dict[tuple[str, str, int, int], bool]) -> ExampleTable:
+    """Return rows of one group as a table of examples: `encoder` is the method, and `noise` the source."""
+    errors = {
+        f"{line} {metric}_m": f"{prefix}{metric}_mm"
+        for line, prefix in (("first", ""), ("listed", "listed_"))
+        for metric in METRICS
+    }
+    return ExampleTable.of_rows(
+        [
+            {
+                **{name: 1e-3 * row.get(measured, np.inf) for name, measured in errors.items()},
+                **{name: row.get(name) for name in ("probability", "seconds", "diameter_m")},
+                **{name: row.get(name, "") for name in ("verdict", "problem")},
+                **{name: row[name] for name in ("object", "example", "touches", "refused")},
+                "encoder": row["method"],
+                "noise": row["source"],
+                "seed": -1,
+                "determined": determined[name_example(row)],
+            }
+            for row in rows
+        ]
+    )
 
 
 def _summarise(
     source: str, method: str, touches: int, rows: Sequence[Row], determined: dict[tuple[str, str, int, int], bool]
 ) -> Group:
-    found = make_outcomes(rows, determined)
-    surface_m, right = found.select_errors(), found.right
-    objects = np.array([row["object"] for row in rows])
-    inside = (surface_m[:, None] < np.array(WITHIN_M)).astype(float)
-    ranges = bootstrap(inside, objects, lambda some: some.mean(axis=0))
-    certain = found.verdict == Verdict.CERTAIN.value
-    stated = np.isfinite(found.probability)
+    found = make_examples(rows, determined)
+    summary, right = ExampleSummary.of(found, WITHIN_M), find_right(found)
+    inside = (found.errors_m()[:, None] < np.array(WITHIN_M)).astype(float)
+    certain = found["verdict"] == Verdict.CERTAIN.value
     covered = [row["covered"] for row in rows if row.get("covered") is not None]
-    timed = found.seconds[np.isfinite(found.seconds)]
     return Group(
-        source, method, touches, len(rows), tuple(inside.mean(axis=0).tolist()), ranges,
-        tuple(found.measure_recall(WITHIN_M, listed=True).tolist()), float(found.measure_recall(CURVE_M).mean()),
-        average_mssd_recall(found), _median(surface_m), int(found.determined.sum()),
-        float((surface_m[found.determined] < RIGHT_M).mean()) if found.determined.any() else None,
-        _median(surface_m[found.determined]), measure_calibration_error(found) if stated.any() else None,
-        float(np.mean(covered)) if covered else None, int(certain.sum()), int((certain & right).sum()),
-        sum({name_example(row)[:3]: row["refused"] for row in rows}.values()),
-        int((found.problem != "").sum()), float(np.median(timed)) if len(timed) else None,
-    )  # fmt: skip
+        source,
+        method,
+        touches,
+        summary.examples,
+        summary.within,
+        bootstrap(inside, found["object"], lambda some: some.mean(axis=0)),
+        summary.listed_within,
+        summary.auc,
+        summary.average_recall_mssd,
+        summary.median_m,
+        summary.determined,
+        summary.determined_right,
+        find_median(found.errors_m()[found["determined"]]),
+        measure_calibration_error(summary),
+        float(np.mean(covered)) if covered else None,
+        int(certain.sum()),
+        int((certain & right).sum()),
+        found.count_refused(),
+        int((found["problem"] != "").sum()),
+        summary.median_s,
+    )
 
 
 def bootstrap(values: Float64, objects: NDArray[Any], statistic: Callable[[Float64], Float64]) -> tuple[Interval, ...]:
@@ -160,13 +177,11 @@ def bootstrap(values: Float64, objects: NDArray[Any], statistic: Callable[[Float
     return tuple(zip(low.tolist(), high.tolist(), strict=True))
 
 
-def measure_calibration_error(found: Outcomes) -> float:
-    """Return the expected calibration error, 0 to 1 (Naeini et al., AAAI 2015), of the first pose's probability."""
-    bins = [one for one in bin_probabilities(found) if one.examples]
+def measure_calibration_error(summary: ExampleSummary) -> float | None:
+    """Return the expected calibration error, 0 to 1 (Naeini et al., AAAI 2015), of the first pose's probability.
+
+    It is None if no probability is stated.
+    """
+    bins = [one for one in summary.bins if one.examples]
     total = sum(one.examples for one in bins)
-    return sum(one.examples * abs((one.stated or 0.0) - (one.right or 0.0)) for one in bins) / total
-
-
-def _median(values_m: Float64) -> float | None:
-    median = float(np.median(values_m)) if len(values_m) else np.inf
-    return median if np.isfinite(median) else None
+    return sum(one.examples * abs((one.stated or 0.0) - (one.right or 0.0)) for one in bins) / total if total else None

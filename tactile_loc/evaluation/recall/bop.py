@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.evaluation.recall.summary import RecallRun
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.store.files import write_json, write_text
 
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
@@ -51,25 +51,27 @@ class BopScene:
     answers: Mapping[tuple[str, int], Sequence[Answer]]
 
 
-def make_scenes(runs: Sequence[RecallRun]) -> list[BopScene]:
+def make_scenes(table: ExampleTable) -> list[BopScene]:
     """Return a scene for each run of an evaluation; poses are in the frame of the first touch's sensor."""
-    return [
-        BopScene(
-            run.object, {key: getattr(run, key) for key in ("encoder", "noise", "seed")}, run.evaluation.T_true,
-            {(OURS, touches): list(_list_answers(run, touches)) for touches in run.evaluation.together},
-        )
-        for run in runs
-    ]  # fmt: skip
+    scenes = []
+    for (name, encoder, noise, seed), run in table.group("object", "encoder", "noise", "seed").items():
+        truths = np.full((1 + run["example"].max(), 4, 4), np.nan)
+        truths[run["example"]] = run["T_true"]
+        answers = {(OURS, n): list(_list_answers(some, len(truths))) for (n,), some in run.group("touches").items()}
+        about = {"encoder": encoder, "noise": noise, "seed": None if seed < 0 else seed}
+        scenes.append(BopScene(name, about, truths, answers))
+    return scenes
 
 
-def _list_answers(run: RecallRun, touches: int) -> Iterator[Answer]:
-    found = run.evaluation
-    column = found.together.index(touches)
-    for scores, poses, seconds in zip(
-        found.probabilities[:, column], found.T_sensor_object[:, column], found.seconds[:, column], strict=True
-    ):
+def _list_answers(table: ExampleTable, count: int) -> Iterator[Answer]:
+    """Yield the answers of `count` examples; an example that is not in the table has none."""
+    rows = {example: row for row, example in enumerate(table["example"].tolist())}
+    for example in range(count):
+        row = rows.get(example)
+        scores = np.zeros(0) if row is None else table["probabilities"][row]
         listed = np.isfinite(scores)
-        yield Answer(poses[listed], scores[listed], float(seconds))
+        poses = () if row is None else table["T_sensor_object"][row][listed]
+        yield Answer(poses, scores[listed], np.nan if row is None else float(table["seconds"][row]))
 
 
 def number_objects(scenes: Sequence[BopScene]) -> dict[str, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -13,28 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
 from tactile_loc.evaluation.fusion import MOST_FUSED
-from tactile_loc.evaluation.metrics import compute_adds, compute_mssd, compute_surface_distances
-from tactile_loc.evaluation.protocol import sample_surface, save_in_shards
+from tactile_loc.evaluation.metrics import METRICS, PoseJudge
+from tactile_loc.evaluation.protocol import save_in_shards
 from tactile_loc.evaluation.recall.examples import Example, Examples
 from tactile_loc.evaluation.simulated_touches import require_true_pose
+from tactile_loc.evaluation.summary import RIGHT_M
+from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer, Observation, localize_together
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.localization import Hypothesis, Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
-from tactile_loc.locate.result.verdict import REFUSED, Verdict
+from tactile_loc.locate.result.verdict import REFUSED
 from tactile_loc.locate.sources.source import STAGE_VERSIONS
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace
 
 RECALL_VERSION = 2  # increase if verdicts or the method change without a change of key
-METRICS = ("surface", "add", "mssd")
-RIGHT_M = 1e-3  # a pose with a smaller surface distance is right
 SHARD = 5  # examples located and saved at once
 ABSENT = ""  # verdict of an example that has too few touches
-VERDICTS = (*(verdict.value for verdict in Verdict), REFUSED)
 
 
 class Located(NamedTuple):
@@ -56,41 +54,15 @@ class Located(NamedTuple):
     seconds: float
 
 
-@dataclass(frozen=True, eq=False)
-class RecallEvaluation:
-    """The results of E examples, each located from its first touches, for C numbers of touches `together`.
-
-    The arrays have an item for each field of `Located`. `T_true` (E, 4, 4), metres, are the true poses in the frame of
-    each example's first sensor; NaN if this touch cannot be read. `refused` (E,) is the number of presses that made no
-    touch; they do not count.
-    """
-
-    together: tuple[int, ...]
-    T_sensor_object: Poses
-    probabilities: NDArray[np.float64]
-    errors_m: NDArray[np.float64]
-    verdict: NDArray[np.str_]
-    problem: NDArray[np.str_]
-    determined: NDArray[np.bool_]
-    seconds: NDArray[np.float64]
-    T_true: Poses
-    refused: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.errors_m)
-
-    @property
-    def is_refused(self) -> NDArray[np.bool_]:
-        """Whether each example (E,) was refused with every number of touches that it has."""
-        refused = self.verdict == REFUSED
-        return np.asarray(refused.any(axis=1) & (refused | (self.verdict == ABSENT)).all(axis=1))
-
-
 ARRAYS = (*Located._fields, "T_true", "refused")
 
 
-def evaluate_recall(localizer: Localizer, examples: Examples, together: Sequence[int]) -> RecallEvaluation:
+def evaluate_recall(localizer: Localizer, examples: Examples, together: Sequence[int]) -> ExampleTable:
     """Locate each example from its first n touches, for each n of `together`, and measure all listed poses.
+
+    The table has a row for each example and each number of touches that it has. The errors are those of the `first` and
+    the nearest `listed` pose in METRICS. Its further columns are the fields of `Located`, and `T_true` (E, 4, 4),
+    metres, the true poses in the frame of each example's first sensor; NaN if this touch cannot be read.
 
     The result is kept in the localizer's store, in shards of SHARD examples. An interrupted evaluation resumes. An
     example that cannot be located is kept, with its reason. Raises ConfigError unless all numbers are from 1 to
@@ -106,7 +78,31 @@ def evaluate_recall(localizer: Localizer, examples: Examples, together: Sequence
         save_in_shards(work, ARRAYS, examples.count, SHARD, locator.locate_examples)
 
     artifact = localizer.store.build(make_recall_key(localizer, examples, numbers), run)
-    return RecallEvaluation(numbers, *(artifact.load_array(name, mmap=False) for name in ARRAYS))
+    arrays = {name: artifact.load_array(name, mmap=False) for name in ARRAYS}
+    return _make_table(localizer, examples, numbers, arrays)
+
+
+def _make_table(
+    localizer: Localizer, examples: Examples, together: tuple[int, ...], arrays: Mapping[str, NDArray[Any]]
+) -> ExampleTable:
+    """Return the table of the arrays of all examples (E, C, ...), or (E, ...) if they are the same for all touches."""
+    shape = arrays["verdict"].shape
+    by_example = {name: np.repeat(arrays[name], len(together), axis=0) for name in ("T_true", "refused")}
+    located = {name: arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in Located._fields}
+    errors_m = located.pop("errors_m")
+    both = np.stack([errors_m[:, 0], errors_m.min(axis=1)], axis=1)
+    table = ExampleTable.make(
+        {**name_errors(both, ("first", "listed"), METRICS), **located, **by_example},
+        probability=located["probabilities"][:, 0],
+        object=localizer.object.name,
+        symmetry=str(localizer.object.symmetry),
+        diameter_m=PoseJudge(localizer.object).diameter_m,
+        encoder=localizer.config.encoder.name,
+        example=np.repeat(np.arange(shape[0]), shape[1]),
+        touches=np.tile(together, shape[0]),
+        **examples.labels,
+    )
+    return table.select(table["verdict"] != ABSENT)
 
 
 def make_recall_key(localizer: Localizer, examples: Examples, together: Sequence[int]) -> StageKey:
@@ -115,10 +111,15 @@ def make_recall_key(localizer: Localizer, examples: Examples, together: Sequence
     fitted = localizer.probabilities
     scalings = [asdict(fitted.temperature_scaling), *([asdict(fitted.fused_scaling)] if together[-1] > 1 else [])]
     inputs = {
-        **localizer.source.describe_scores(), "object": localizer.object.describe(), "settings": settings,
-        "stages": dict(STAGE_VERSIONS), "scalings": scalings, "examples": examples.describe(),
-        "count": examples.count, "together": list(together),
-    }  # fmt: skip
+        **localizer.source.describe_scores(),
+        "object": localizer.object.describe(),
+        "settings": settings,
+        "stages": dict(STAGE_VERSIONS),
+        "scalings": scalings,
+        "examples": examples.describe(),
+        "count": examples.count,
+        "together": list(together),
+    }
     return StageKey("recall-evaluation", RECALL_VERSION, inputs, localizer.object.name)
 
 
@@ -165,7 +166,7 @@ class _ExampleLocator:
             return self._fail(LocatedFrame.of_error(error).word, str(error))
         seconds = time.perf_counter() - start
         poses = _view_from_first(some, found)[: self._most]
-        errors_m = measure_pose_errors(self.localizer.object, self._points_m, poses, require_true_pose(some[0][1]))
+        errors_m = self._judge.measure_errors(poses, require_true_pose(some[0][1]))
         listed = found.hypotheses[: self._most]
         determined = is_determined(some, listed, errors_m[:, METRICS.index("surface")])
         p = np.array([hypothesis.probability for hypothesis in listed])
@@ -193,26 +194,16 @@ class _ExampleLocator:
         return self.localizer.config.top
 
     @cached_property
-    def _points_m(self) -> NDArray[np.float64]:
-        return sample_surface(self.localizer.object)
-
-
-def measure_pose_errors(
-    obj: ObjectModel, points_m: NDArray[np.float64], poses: Poses, T_true: Poses
-) -> NDArray[np.float64]:
-    """Return the METRICS (K, M), metres, of poses (K, 4, 4); `points_m` (P, 3) are points of the surface."""
-    errors = (
-        compute_surface_distances(obj, poses, T_true),
-        compute_adds(obj, points_m, poses, T_true),
-        compute_mssd(obj, obj.mesh.hull_corners_m, poses, T_true),
-    )
-    return np.stack(errors, axis=1)
+    def _judge(self) -> PoseJudge:
+        return PoseJudge(self.localizer.object)
 
 
 def is_determined(
-    observations: Sequence[Observation], hypotheses: Sequence[Hypothesis], surface_m: NDArray[np.float64],
+    observations: Sequence[Observation],
+    hypotheses: Sequence[Hypothesis],
+    surface_m: NDArray[np.float64],
     right_m: float = RIGHT_M,
-) -> bool:  # fmt: skip
+) -> bool:
     """Return whether no listed wrong pose explains the touches as well as the true poses do.
 
     `surface_m` (K,), metres, are the hypotheses' surface distances. A pose is wrong from `right_m`, metres. Raises

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -41,6 +42,10 @@ class Examples(Protocol):
     def count(self) -> int:
         """The number of examples."""
 
+    @property
+    def labels(self) -> Mapping[str, Any]:
+        """The `noise` or kind of the touches, and their `seed`, -1 without a seed."""
+
     def draw(self, number: int) -> Example:
         """Return an example by its number, from 0."""
 
@@ -61,6 +66,11 @@ class DrawnExamples:
     source: SimulatedTouches
     count: int
     most: int
+
+    @property
+    def labels(self) -> Mapping[str, Any]:
+        """The noise and the seed."""
+        return {"noise": self.source.noise, "seed": self.source.seed}
 
     def draw(self, number: int) -> Example:
         """Return an example by its number. Raises TouchError if hardly any press makes a touch."""
@@ -94,6 +104,10 @@ class DrawnExamples:
     def _touches(self) -> RobotTouches:
         noise = make_noise(self.source.noise)
         return RobotTouches(
-            self.localizer.object, self.localizer.scene.geometry, registry().create("renderer", RENDERER, {}),
-            noise=noise, sensor_std_m=noise.sensor_m, sensor_std_rad=noise.sensor_rad,
-        )  # fmt: skip
+            self.localizer.object,
+            self.localizer.scene.geometry,
+            registry().create("renderer", RENDERER, {}),
+            noise=noise,
+            sensor_std_m=noise.sensor_m,
+            sensor_std_rad=noise.sensor_rad,
+        )

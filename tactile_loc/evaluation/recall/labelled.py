@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -47,6 +47,11 @@ class LabelledExamples:
     def most(self) -> int:
         """The largest number of touches of an example."""
         return max(map(len, self.examples))
+
+    @property
+    def labels(self) -> Mapping[str, Any]:
+        """The kind of the touches."""
+        return {"noise": KIND, "seed": -1}
 
     def require_touches(self, together: Iterable[int]) -> None:
         """Raise ConfigError if no example has as many touches as the largest of the numbers `together`."""
@@ -107,7 +112,8 @@ def _describe_touch(touch: Touch) -> dict[str, Any]:
     poses = {"true": touch.T_sensor_object, "sensor": touch.T_base_sensor}
     arrays = {name: np.asarray(T) for name, T in poses.items() if T is not None}
     return {
-        "touch": hash_arrays(depth=touch.contact_shape.depth_m, **arrays), "sensor": touch.geometry.describe(),
+        "touch": hash_arrays(depth=touch.contact_shape.depth_m, **arrays),
+        "sensor": touch.geometry.describe(),
         "depths_m": [touch.press_depth_m, touch.indentation_m],
         "std": [touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad],
-    }  # fmt: skip
+    }

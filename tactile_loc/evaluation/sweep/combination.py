@@ -16,10 +16,12 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.evaluation import protocol
-from tactile_loc.evaluation.metrics import LEVELS, PosteriorSummary
-from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, Evaluation, evaluate, make_evaluation_key
+from tactile_loc.evaluation.metrics import LEVELS
+from tactile_loc.evaluation.paper_tables import measure_coverage, summarise_lines
+from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, evaluate, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.sweep.plan import Plan
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
@@ -31,7 +33,8 @@ from tactile_loc.store.keys import StageKey, hash_shortly, write_canonical_json
 from tactile_loc.store.store import StageStore
 
 ROW_VERSION = 1  # increase it if the same combination gets other results
-ERRORS = tuple(f"{line}_{what}" for line in LINES for what in ("median_mm", "mean_mm", "median_share"))
+STATISTICS = ("median_mm", "mean_mm", "median_share")
+ERRORS = tuple(f"{line}_{what}" for line in LINES for what in STATISTICS)
 COVERAGES = tuple(f"coverage_{100 * level:.0f}" for level in LEVELS)
 TIMES = (*(f"{stage}_ms" for stage in protocol.STAGES), "total_ms")
 STAGES = ("grid", "shapes", "encoder", "bank", "temperature", "evaluation")
@@ -203,25 +206,21 @@ class CombinationJob:
         _ = localizer.probabilities.temperature_scaling
         model_s = time.perf_counter() - start_s if store.built else 0.0
         evaluation = evaluate(localizer, self.count, SimulatedTouches(config.touch.noise, config.seed, images=False))
-        return {**summarise(evaluation, localizer.model.size), "model_s": round(model_s, 3)}
+        return {**summarise(evaluation), "model_s": round(model_s, 3)}
 
 
-def summarise(evaluation: Evaluation, grid_poses: int) -> dict[str, float | None]:
+def summarise(table: ExampleTable) -> dict[str, float | None]:
     """Return ERRORS (mm, and shares of a random pose's mean error), COVERAGES, nll_nats and TIMES (medians, ms).
 
     Numbers have six digits. A number that is not finite becomes None, such as the likelihood if a matcher did not score
     the true pose.
     """
-    errors = []
-    for line in LINES:
-        metres = evaluation.select_errors(line)
-        errors += [1e3 * np.median(metres), 1e3 * metres.mean(), np.median(evaluation.normalise_errors(line))]
-    posterior = PosteriorSummary.of(evaluation.posterior_metrics, grid_poses)
-    times = 1e3 * np.median(evaluation.seconds, axis=0)
-    values = {
-        **dict(zip(ERRORS, errors, strict=True)),
-        **dict(zip(COVERAGES, posterior.coverage, strict=True)), "nll_nats": posterior.nll,
-        **dict(zip(TIMES, (*times, 1e3 * np.median(evaluation.seconds.sum(axis=1))), strict=True)),
-    }  # fmt: skip
+    values: dict[str, float] = {}
+    for row in summarise_lines(table, LINES):
+        errors = (1e3 * row["median_m"], 1e3 * row["mean_m"], row["median_normalised"])
+        values |= {f"{row['line']}_{what}": error for what, error in zip(STATISTICS, errors, strict=True)}
+    values |= dict(zip(COVERAGES, measure_coverage(table), strict=True)) | {"nll_nats": table["nll_nats"].mean()}
+    seconds = [table[f"{stage}_s"] for stage in protocol.STAGES]
+    values |= {name: 1e3 * np.median(s) for name, s in zip(TIMES, [*seconds, np.sum(seconds, axis=0)], strict=True)}
     rounded = {name: float(f"{value:.6g}") if np.isfinite(value) else None for name, value in values.items()}
-    return {"grid_poses": grid_poses, **rounded}
+    return {"grid_poses": int(table["grid_poses"][0]), **rounded}

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.sweep.plan import SETTINGS
 from tactile_loc.evaluation.sweep.sweep import IDENTITY
-from tactile_loc.evaluation.tabular import format_markdown, write_texts
+from tactile_loc.evaluation.text_tables import Row, format_csv, format_markdown
 from tactile_loc.slots.registry import SLOTS
+from tactile_loc.store.files import write_text
 
-if TYPE_CHECKING:
-    import pandas as pd
+Key = tuple[str, ...]
 
 ERROR = "error_mm"
 CHANGED = 1.10  # a ratio of medians above this, or its inverse, counts as worse or better
@@ -25,86 +22,91 @@ WORSE, BETTER, ONLY_OLD, ONLY_NEW, FAILED = "worse", "better", "only in old", "o
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
-    """The compared line of the protocol, a `table`, and the `versions` that differ, by name: (old, new).
+class SweepComparison:
+    """The compared line of the protocol, a row for each combination of either sweep, and the `versions` that differ.
 
-    The table has a row for each combination of either sweep. Its first columns are texts that identify the combination;
-    a text is empty if a component lacks the option. The other columns are old_mm, new_mm, their ratio (NaN if unknown),
-    and the change (empty if small).
+    A row has texts that identify the combination; a text is empty if a component lacks the option. Its other values are
+    old_mm, new_mm and their ratio, None if unknown, and the change, empty if it is small. `versions` has the old and
+    the new version by name.
     """
 
     line: str
-    table: pd.DataFrame
+    rows: Sequence[Row]
     versions: Mapping[str, tuple[str, str]]
 
     def count(self, change: str) -> int:
         """Return the number of combinations with this change."""
-        return int((self.table["change"] == change).sum())
+        return sum(row["change"] == change for row in self.rows)
 
 
-def compare(old: Mapping[str, Any], new: Mapping[str, Any], line: str) -> Comparison:
+def compare(old: Mapping[str, Any], new: Mapping[str, Any], line: str) -> SweepComparison:
     """Join two records of sweeps from `read_sweep` by combination, and compare the median errors of `line`.
 
     Two combinations are the same if the object, touches, components, and the options known to both sweeps are the same.
     """
-    import pandas as pd
+    described = [_describe(record, line) for record in (old, new)]
+    known_old, known_new = ({name: None for row in rows for name in row if name != ERROR} for rows in described)
+    shared = [name for name in known_old if name in known_new]
+    olds, news = (_index_by_identity(rows, shared) for rows in described)
+    names = _name_rows({**olds, **news}, [*news.values(), *olds.values()])
+    rows = []
+    for key in {**olds, **news}:
+        old_mm, new_mm = (found.get(key, {}).get(ERROR) for found in (olds, news))
+        ratio = None if old_mm is None or new_mm is None or old_mm == 0 else new_mm / old_mm
+        change = ONLY_NEW if key not in olds else ONLY_OLD if key not in news else _name_change(old_mm, new_mm)
+        rows.append({**names[key], "old_mm": old_mm, "new_mm": new_mm, "ratio": ratio, "change": change})
+    return SweepComparison(line, rows, _find_differing(old["versions"], new["versions"]))
 
-    olds, news = _describe(old, line), _describe(new, line)
-    shared = [name for name in olds.columns.intersection(news.columns) if name != ERROR]
-    olds, news = _index_by_identity(olds, shared), _index_by_identity(news, shared)
-    every = olds.index.append(news.index).unique()
-    table = _name_rows(pd.concat([news, olds])).loc[every]
-    table = table.assign(old_mm=olds[ERROR].reindex(every), new_mm=news[ERROR].reindex(every))
-    table["ratio"] = (table["new_mm"] / table["old_mm"]).where(table["old_mm"] != 0)
-    table["change"] = _name_changes(table, every.isin(olds.index), every.isin(news.index))
-    return Comparison(line, table.reset_index(drop=True), _find_differing(old["versions"], new["versions"]))
 
-
-def summarise(comparison: Comparison) -> str:
+def summarise(comparison: SweepComparison) -> str:
     """Return the number of combinations with each change, in one sentence."""
     marks = (WORSE, BETTER, FAILED, ONLY_OLD, ONLY_NEW)
     counts = ", ".join(f"{comparison.count(mark)} {mark}" for mark in marks if comparison.count(mark))
     percent = f"{100 * (CHANGED - 1):.0f} %"
-    return f"{len(comparison.table)} combinations, {counts or 'none changed'} (by more than {percent})"
+    return f"{len(comparison.rows)} combinations, {counts or 'none changed'} (by more than {percent})"
 
 
-def format_texts(comparison: Comparison) -> pd.DataFrame:
-    """Return the table with errors in mm and ratios as texts; a text is empty if a value is unknown."""
-    errors = {name: comparison.table[name].map(_format_mm) for name in ("old_mm", "new_mm")}
-    ratio = comparison.table["ratio"].map(lambda value: "" if np.isnan(value) else f"{value:.3f}")
-    return comparison.table.assign(**errors, ratio=ratio)
+def format_texts(comparison: SweepComparison) -> list[dict[str, str]]:
+    """Return the rows with errors in mm and ratios as texts; a text is empty if a value is unknown."""
+    return [
+        {
+            **row,
+            **{name: "" if row[name] is None else format_mm(1e-3 * row[name]) for name in ("old_mm", "new_mm")},
+            "ratio": "" if row["ratio"] is None else f"{row['ratio']:.3f}",
+        }
+        for row in comparison.rows
+    ]
 
 
-def write_comparison(out: Path, comparison: Comparison) -> list[Path]:
+def write_comparison(out: Path, comparison: SweepComparison) -> list[Path]:
     """Write compare.md and compare.csv into the folder `out` and return their paths. Raises OutputError."""
-    table = format_texts(comparison)
-    markdown, csv = "\n".join(_format_markdown(comparison, table)), str(table.to_csv(index=False, lineterminator="\n"))
-    return write_texts(out, "compare", md=markdown, csv=csv)
+    rows = format_texts(comparison)
+    texts = {"md": "\n".join(_format_markdown(comparison, rows)), "csv": format_csv(rows)}
+    return [write_text(out / f"compare.{suffix}", text) for suffix, text in texts.items()]
 
 
-def _format_markdown(comparison: Comparison, table: pd.DataFrame) -> Iterator[str]:
+def _format_markdown(comparison: SweepComparison, rows: Sequence[Mapping[str, str]]) -> Iterator[str]:
     yield f"# Comparison of two sweeps: {comparison.line}\n"
     yield f"Median error of `{comparison.line}`, mm. {summarise(comparison)}.\n"
-    yield format_markdown([list(table.columns), *table.to_numpy().tolist()])
+    yield format_markdown([list(rows[0]), *(list(row.values()) for row in rows)])
     yield "Versions that differ:\n"
     differing = [[name, *both] for name, both in comparison.versions.items()] or [["none", "", ""]]
     yield format_markdown([["", "old", "new"], *differing])
 
 
-def _describe(record: Mapping[str, Any], line: str) -> pd.DataFrame:
+def _describe(record: Mapping[str, Any], line: str) -> list[Row]:
     """Return a row for each combination: the texts that identify it, and its error in mm.
 
     The texts are IDENTITY, SETTINGS and the options, which are called "slot.component.option".
     """
-    import pandas as pd
-
     found = []
     for row in record["rows"]:
         settings = row["configuration"]
         identity = {name: row[name] for name in IDENTITY} | {name: settings.get(name) for name in SETTINGS}
         texts = {name: str(value) for name, value in {**identity, **_list_options(settings)}.items()}
-        found.append({**texts, ERROR: row.get(f"{line}_median_mm")})
-    return pd.DataFrame(found).astype({ERROR: float})
+        error_mm = row.get(f"{line}_median_mm")
+        found.append({**texts, ERROR: None if error_mm is None or error_mm != error_mm else float(error_mm)})
+    return found
 
 
 def _list_options(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -116,46 +118,48 @@ def _list_options(settings: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _index_by_identity(rows: pd.DataFrame, shared: list[str]) -> pd.DataFrame:
-    """Index rows by identity: the columns in `shared`, or all columns if rows have equal `shared` columns.
+def _index_by_identity(rows: Sequence[Row], shared: Sequence[str]) -> dict[tuple[str, ...], Row]:
+    """Return rows by identity: the texts `shared`, or all texts if rows have equal `shared` texts.
 
     If several rows have the same identity, the first is kept.
     """
-    names = rows.columns.drop(ERROR) if rows.duplicated(shared).any() else shared
-    named = rows.set_index(rows[names].fillna("").agg("\n".join, axis=1))
-    return named[~named.index.duplicated()]
+
+    def index(names: Iterable[str]) -> dict[tuple[str, ...], Row]:
+        found: dict[tuple[str, ...], Row] = {}
+        for row in rows:
+            found.setdefault(tuple(row.get(name, "") for name in names), row)
+        return found
+
+    found = index(shared)
+    return found if len(found) == len(rows) else index({name: None for row in rows for name in row if name != ERROR})
 
 
-def _name_rows(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns that distinguish rows: the object, and all columns of IDENTITY and options that differ.
+def _name_rows(rows: Mapping[Key, Row], every: Sequence[Row]) -> dict[Key, dict[str, str]]:
+    """Return the texts that distinguish rows: the object, and all of IDENTITY and the options that differ in `every`.
 
     An option is called "slot.option", and is empty if a component lacks it.
     """
-    options = [name for name in rows.columns if "." in name]
-    varied = [name for name in (*IDENTITY, *options) if name == "object" or rows[name].nunique() > 1]
-    known = rows[~rows.index.duplicated()]
-    named = known[[]]
-    for name in varied:
-        slot, _, option = name.partition(".")
-        column = f"{slot}.{option.rpartition('.')[2]}" if option else name
-        values = known[name].combine_first(named[column]) if column in named else known[name]
-        named = named.assign(**{column: values})
-    return named.fillna("")
+    options = dict.fromkeys(name for row in every for name in row if "." in name)
+    varied = [
+        name
+        for name in (*IDENTITY, *options)
+        if name == "object" or len({row[name] for row in every if name in row}) > 1
+    ]
+    named: dict[Key, dict[str, str]] = {key: {} for key in rows}
+    for key, row in rows.items():
+        for name in varied:
+            slot, _, option = name.partition(".")
+            column = f"{slot}.{option.rpartition('.')[2]}" if option else name
+            named[key][column] = row.get(name, named[key].get(column, ""))
+    return named
 
 
-def _name_changes(table: pd.DataFrame, in_old: NDArray[np.bool_], in_new: NDArray[np.bool_]) -> NDArray[np.str_]:
-    old_mm, new_mm = table["old_mm"], table["new_mm"]
-    conditions = {
-        ONLY_NEW: ~in_old, ONLY_OLD: ~in_new, FAILED: old_mm.isna() | new_mm.isna(),
-        WORSE: new_mm > CHANGED * old_mm, BETTER: CHANGED * new_mm < old_mm,
-    }  # fmt: skip
-    return np.select(list(conditions.values()), list(conditions), "")
+def _name_change(old_mm: float | None, new_mm: float | None) -> str:
+    if old_mm is None or new_mm is None:
+        return FAILED
+    return WORSE if new_mm > CHANGED * old_mm else BETTER if CHANGED * new_mm < old_mm else ""
 
 
 def _find_differing(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     both = {name: (old.get(name, "-"), new.get(name, "-")) for name in {**old, **new}}
     return {name: pair for name, pair in both.items() if pair[0] != pair[1]}
-
-
-def _format_mm(value: float) -> str:
-    return "" if np.isnan(value) else format_mm(1e-3 * value)

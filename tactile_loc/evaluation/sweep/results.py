@@ -1,25 +1,29 @@
-"""The files of a sweep: sweep.csv, .parquet, .md, .json, and two pictures. Other commands read sweep.json."""
+"""The tables of a sweep: sweep.csv, .parquet, .md and .json. Other commands read sweep.json."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from datetime import UTC, datetime
+import math
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tactile_loc.core.runtime.errors import ConfigError, OutputError, advise_choice
+import numpy as np
+
+from tactile_loc.core.runtime.errors import ConfigError, advise_choice
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
-from tactile_loc.evaluation.sweep.figures import draw_effects, draw_error_time
-from tactile_loc.evaluation.sweep.sweep import IDENTITY, Sweep
-from tactile_loc.evaluation.tabular import format_json, format_markdown, write_texts
-from tactile_loc.io.streams.records import read_versions
+from tactile_loc.evaluation.sweep.sweep import IDENTITY, ChoiceMedian, Sweep
+from tactile_loc.evaluation.text_tables import (
+    Table,
+    build_document,
+    format_csv,
+    format_markdown,
+    pivot,
+    write_parquet,
+    write_texts,
+)
 from tactile_loc.slots.registry import SLOTS
-from tactile_loc.store.files import read_json, write_atomically
-from tactile_loc.view.pictures import save_figure
-
-if TYPE_CHECKING:
-    import pandas as pd
+from tactile_loc.store.files import read_json
 
 SCHEMA_VERSION = 1
 FAILED = "failed"
@@ -32,58 +36,29 @@ def require_line(line: str) -> str:
     return line
 
 
-def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
-    """Write all results into the folder `out` and return their paths.
+def write_sweep_tables(out: Path, sweep: Sweep, line: str) -> list[Path]:
+    """Write the tables of a sweep into the folder `out` and return their paths. Raises OutputError.
 
-    The summary and the pictures show the errors of `line`, one of the protocol's LINES. A picture without data is left
-    out. Raises OutputError.
+    The summary shows the errors of `line`, one of the protocol's LINES.
     """
-    document, table = format_json(record_sweep(sweep, line)), format_csv(sweep.table)
-    written = write_texts(out, "sweep", csv=table, md=format_summary(sweep, line), json=document)
-    written.append(write_parquet(out / "sweep.parquet", sweep.table))
-    for name, draw in (("error-time", draw_error_time), ("effects", draw_effects)):
-        figure = draw(sweep, line)
-        path = out / f"{name}.png"
-        if figure is None:
-            path.unlink(missing_ok=True)  # an older sweep may have drawn it
-        else:
-            written.append(save_figure(path, figure))
-    return written
-
-
-def format_csv(table: pd.DataFrame) -> str:
-    """Return a table as CSV; missing values are empty, and booleans are true or false."""
-    truths = table.select_dtypes("boolean").columns
-    written = table.assign(**{name: table[name].map({True: "true", False: "false"}) for name in truths})
-    return str(written.to_csv(index=False, lineterminator="\n"))
-
-
-def write_parquet(path: Path, table: pd.DataFrame) -> Path:
-    """Write a table as Parquet, atomically, and return the path. Raises OutputError."""
-    from pyarrow import ArrowException
-
-    try:
-        packed = table.to_parquet(engine="pyarrow", index=False)
-    except ArrowException as error:
-        raise OutputError(f"{path} cannot be written ({error})") from error
-    return write_atomically(path, lambda temporary: temporary.write_bytes(packed))
+    csv, summary = format_csv(sweep.rows), format_summary(sweep, line)
+    written = write_texts(out, "sweep", record_sweep(sweep, line), csv=csv, md=summary)
+    return [*written, write_parquet(out / "sweep.parquet", sweep.rows)]
 
 
 def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
     """Return the plan, the versions, the number of built stages, and each row with its settings, as JSON values."""
     configurations = {one.key: one.describe() for one in sweep.combinations}
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": read_versions(),
-        "protocol_version": PROTOCOL_VERSION,
-        "line": line,
-        "plan": sweep.plan.describe(),
-        "combinations": len(sweep.combinations),
-        "failed": sweep.failed,
-        "built": sweep.built,
-        "rows": [{**row, "configuration": configurations[row["key"]]} for row in sweep.rows],
-    }
+    return build_document(
+        SCHEMA_VERSION,
+        protocol_version=PROTOCOL_VERSION,
+        line=line,
+        plan=sweep.plan.describe(),
+        combinations=len(sweep.combinations),
+        failed=sweep.failed,
+        built=sweep.built,
+        rows=[{**row, "configuration": configurations[row["key"]]} for row in sweep.rows],
+    )
 
 
 def read_sweep(folder: Path) -> dict[str, Any]:
@@ -126,34 +101,30 @@ def format_summary(sweep: Sweep, line: str) -> str:
         parts.append(f"Common to all rows: {', '.join(same)}.")
     medians = sweep.compute_medians(line)
     for noise in plan.noises:
-        parts.append(f"\n## Noise: {noise}\n\n{_format_pivot(pivot(medians, noise))}")
+        parts.append(f"\n## Noise: {noise}\n\n{format_markdown(tabulate_medians(medians, noise, _mark_best))}")
     parts += _list_failures(sweep)
     return "\n".join(parts).rstrip() + "\n"
 
 
-def pivot(medians: pd.DataFrame, noise: str) -> pd.DataFrame:
-    """Return the errors of `Sweep.compute_medians` with one noise, mm, with a row for each label.
+def tabulate_medians(medians: Sequence[ChoiceMedian], noise: str, cell: Callable[[float, float], str]) -> Table:
+    """Return a row for each label, and a column for each object, for one noise.
 
-    Each object has a column.
+    `cell` gives the text of an error, mm, beside the best error of the column. A failed combination has FAILED.
     """
-    found = medians[medians["noise"] == noise]
-    wide = found.pivot(index=[*SLOTS, "label"], columns="object", values="error_mm").droplevel(list(SLOTS))
-    return wide[list(found["object"].unique())]
+    found = [median._asdict() for median in medians if median.noise == noise]
+    best_mm: dict[str, float] = {}
+    for one in found:
+        best_mm[one["object"]] = np.fmin(one["error_mm"], best_mm.get(one["object"], np.nan))
+
+    def format_cell(one: dict[str, Any]) -> str:
+        return FAILED if math.isnan(one["error_mm"]) else cell(one["error_mm"], best_mm[one["object"]])
+
+    header, *rows = pivot(found, ("label",), "object", format_cell)
+    return [["components", *header[1:]], *rows]
 
 
-def _format_pivot(errors_mm: pd.DataFrame) -> str:
-    """Return a pivot as Markdown, with the best value of each column in bold."""
-    best = errors_mm.min()
-    rows = [
-        [str(label), *(_format_cell(value, best[name]) for name, value in row.items())]
-        for label, row in errors_mm.iterrows()
-    ]
-    return format_markdown([["components", *errors_mm.columns], *rows])
-
-
-def _format_cell(error_mm: float, best_mm: float) -> str:
-    if error_mm != error_mm:
-        return FAILED
+def _mark_best(error_mm: float, best_mm: float) -> str:
+    """Return an error in mm, in bold if it is the best."""
     text = format_mm(1e-3 * error_mm)
     return f"**{text}**" if text == format_mm(1e-3 * best_mm) else text
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
-from tactile_loc.core.runtime.errors import MissingLibraryError
+import numpy as np
+
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.evaluation.jobs import JobOutcome, QueuedJob, Workers, resume_jobs
 from tactile_loc.evaluation.sweep.combination import (
@@ -23,11 +25,9 @@ from tactile_loc.evaluation.sweep.combination import (
     order_for_running,
 )
 from tactile_loc.evaluation.sweep.plan import Plan, find_varied_options, find_varying_slots, name_choices
+from tactile_loc.evaluation.text_tables import require_parquet
 from tactile_loc.slots.registry import SLOTS
 from tactile_loc.store.files import require_writable
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Row = dict[str, Any]
 
@@ -35,9 +35,22 @@ IDENTITY = ("object", *SLOTS, "noise", "seed", "count")
 MOMENTARY = (*TIMES, "model_s", "built")
 """The columns that depend on the machine or the moment; all others are the same wherever a plan is run."""
 MEASURED = (*ERRORS, *COVERAGES, "nll_nats", *TIMES, "model_s")
-WHOLE = ("seed", "count", "grid_poses")
-TEXTS = ("object", *SLOTS, "noise", "error", "key", "built")
 NAMED = ("encoder", "refiner")  # the slots that labels name if no slot varies
+
+
+class ChoiceMedian(NamedTuple):
+    """The median error, mm, and time per touch, ms, of one object, noise and choice of components, as means over seeds.
+
+    Both are NaN if a combination failed. `choices` has the index of each slot's choice in the plan. `label` names the
+    choices of slots that vary.
+    """
+
+    object: str
+    noise: str
+    choices: tuple[int, ...]
+    label: str
+    error_mm: float
+    time_ms: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,26 +70,24 @@ class Sweep:
         """A row of JSON values for each combination."""
         return make_rows(self.plan, self.combinations, self.outcomes)
 
-    @cached_property
-    def table(self) -> pd.DataFrame:
-        """The rows as a table."""
-        return make_table(self.rows)
-
-    def compute_medians(self, line: str) -> pd.DataFrame:
-        """Return a row for each object, noise and choice of components, in the plan's order, as means over seeds.
-
-        `error_mm` is the median error of `line`, and `time_ms` the median time for a touch. Both are NaN if a
-        combination failed. A slot's column has the index of the choice. `label` names the choices of slots that vary.
-        """
+    def compute_medians(self, line: str) -> list[ChoiceMedian]:
+        """Return the median error of `line` for each object, noise and choice of components, in the plan's order."""
         labels, named = name_choices(self.plan), find_varying_slots(self.plan) or NAMED
-        known = {"error_mm": self.table[f"{line}_median_mm"], "time_ms": self.table["total_ms"]}
-        found = self.table[["object", "noise"]].assign(**known)
-        for position, slot in enumerate(SLOTS, start=1):
-            found[slot] = [one.place[position] for one in self.combinations]
-        names = [found[slot].map(labels[slot].__getitem__) for slot in SLOTS if slot in named]
-        found["label"] = names[0].str.cat(names[1:], sep=" + ")
-        grouped = found.groupby(["object", "noise", *SLOTS, "label"], sort=False)
-        return grouped.agg(average_all).reset_index()
+        found: dict[tuple[Any, ...], list[list[float]]] = {}
+        for one, row in zip(self.combinations, self.rows, strict=True):
+            values = (row[f"{line}_median_mm"], row["total_ms"])
+            key = one.object, one.config.touch.noise, one.place[1:-2]
+            found.setdefault(key, []).append([math.nan if value is None else value for value in values])
+        return [
+            ChoiceMedian(
+                name,
+                noise,
+                choices,
+                " + ".join(labels[slot][k] for slot, k in zip(SLOTS, choices, strict=True) if slot in named),
+                *np.mean(values, axis=0).tolist(),
+            )
+            for (name, noise, choices), values in found.items()
+        ]
 
     @property
     def failed(self) -> int:
@@ -96,7 +107,7 @@ def run_sweep(plan: Plan, out: Path, store: Path, workers: Workers, progress: Pr
     The row of a failed combination states the error, and the next call tries the combination again. All workers share
     the stage store in the folder `store`. Raises TactileLocError for a bad plan or `out`, before anything runs.
     """
-    require_tables()
+    require_parquet("a sweep")
     combinations, objects = combine(plan)
     require_writable(out)
     queue = [
@@ -109,11 +120,6 @@ def run_sweep(plan: Plan, out: Path, store: Path, workers: Workers, progress: Pr
         for one in order_for_running(combinations)
     ]
     return Sweep(plan, combinations, *resume_jobs("sweep", queue, out, workers, progress))
-
-
-def average_all(values: pd.Series) -> float:
-    """Return the mean of values; NaN if any value is NaN."""
-    return float(values.mean(skipna=False))
 
 
 def list_columns(plan: Plan) -> list[str]:
@@ -144,43 +150,10 @@ def _identify(one: Combination, varied: Sequence[str]) -> Row:
     slots = {slot: getattr(config, slot) for slot in SLOTS}
     parted = [(column, *column.split(".", 1)) for column in varied]
     return {
-        "object": one.object, **{slot: chosen.name for slot, chosen in slots.items()},
-        "noise": config.touch.noise, "seed": config.seed, "count": one.count,
+        "object": one.object,
+        **{slot: chosen.name for slot, chosen in slots.items()},
+        "noise": config.touch.noise,
+        "seed": config.seed,
+        "count": one.count,
         **{column: slots[slot].options.get(option) for column, slot, option in parted},
-    }  # fmt: skip
-
-
-def make_table(rows: Sequence[Row]) -> pd.DataFrame:
-    """Return rows as a table whose column types are fixed, even if no combination succeeded.
-
-    The column of an option has the type of its values. Lists and mixed types are written as JSON.
-    """
-    import pandas as pd
-
-    return pd.DataFrame({name: _make_column([row[name] for row in rows], name) for name in rows[0]})
-
-
-def _make_column(values: Sequence[Any], name: str) -> pd.Series:
-    import pandas as pd
-
-    if name in TEXTS:
-        return pd.Series(values, dtype=object)
-    if name in WHOLE:
-        return pd.Series(values, dtype="Int64")
-    kind = "floating" if name in MEASURED else pd.api.types.infer_dtype(values, skipna=True)
-    known = {"boolean": "boolean", "integer": "Int64", "floating": float, "mixed-integer-float": float}
-    if kind in known:
-        return pd.Series(values, dtype=known[kind])
-    texts = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
-    return pd.Series(texts, dtype=object)
-
-
-def require_tables(what: str = "a sweep", extra: str = "sweep") -> None:
-    """Raise MissingLibraryError if a library for writing tables is missing; `what` needs it, `extra` installs it."""
-    try:
-        import pandas  # noqa: F401
-        import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise MissingLibraryError(
-            f"{what} needs {error.name}, which is not installed: pip install 'tactile-loc[{extra}]'"
-        ) from error
+    }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -10,15 +11,13 @@ import pytest
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import ConfigError, NoContactError
+from tactile_loc.evaluation.metrics import METRICS, PoseJudge
 from tactile_loc.evaluation.recall import evaluation as module
-from tactile_loc.evaluation.recall.evaluation import (
-    METRICS,
-    RecallEvaluation,
-    evaluate_recall,
-    make_recall_key,
-)
+from tactile_loc.evaluation.recall.evaluation import evaluate_recall, make_recall_key
 from tactile_loc.evaluation.recall.examples import DrawnExamples, Example
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.summary import RIGHT_M
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
 
@@ -37,7 +36,7 @@ def examples(hook: Localizer) -> DrawnExamples:
 
 
 @pytest.fixture(scope="module")
-def found(hook: Localizer, examples: DrawnExamples) -> RecallEvaluation:
+def found(hook: Localizer, examples: DrawnExamples) -> ExampleTable:
     return evaluate_recall(hook, examples, (1, 2))
 
 
@@ -46,28 +45,33 @@ def test_the_listed_poses_are_those_of_run(hook, examples, found):
     told = localize_together(observations)
     poses = np.stack([one.T_sensor_object for one in told.hypotheses])
     kept = len(poses)
-    assert np.array_equal(found.T_sensor_object[1, 1, :kept], poses)
-    assert np.isnan(found.T_sensor_object[1, 1, kept:]).all()
-    assert found.probabilities[1, 1, :kept].tolist() == [one.probability for one in told.hypotheses]
-    assert found.verdict[1, 1] == told.verdict
-    assert np.array_equal(found.T_true[1], observations[0][1].T_sensor_object)
+    (row,) = np.flatnonzero((found["example"] == 1) & (found["touches"] == 2))
+    assert np.array_equal(found["T_sensor_object"][row, :kept], poses)
+    assert np.isnan(found["T_sensor_object"][row, kept:]).all()
+    assert found["probabilities"][row, :kept].tolist() == [one.probability for one in told.hypotheses]
+    assert found["probability"][row] == told.hypotheses[0].probability
+    assert found["verdict"][row] == told.verdict
+    assert np.array_equal(found["T_true"][row], observations[0][1].T_sensor_object)
 
 
 def test_errors_are_ordered_as_their_definitions(hook, found):
-    known = np.isfinite(found.errors_m[..., 0])
-    surface, add, mssd = (found.errors_m[..., METRICS.index(name)][known] for name in METRICS)
+    known = np.isfinite(found.errors_m())
+    surface, add, mssd = (found.errors_m("first", name)[known] for name in METRICS)
     assert (surface <= add + 1e-9).all()
     assert (add <= mssd + 1e-9).all()
-    T = found.T_sensor_object[known]
-    truths = np.broadcast_to(found.T_true[:, None, None], found.T_sensor_object.shape)[known]
-    rms = PoseMetric(hook.object).symmetric_distance(T, truths)
-    assert (rms <= mssd + 1e-9).all()
+    T = found["T_sensor_object"][known, 0]
+    assert (PoseMetric(hook.object).symmetric_distance(T, found["T_true"][known]) <= mssd + 1e-9).all()
+    assert all((found.errors_m("listed", name) <= found.errors_m("first", name)).all() for name in METRICS)
 
 
-def test_a_wrong_pose_that_explains_the_touches_as_well_makes_them_undetermined(found):
-    wrong = found.errors_m[:, 0, :, 0] > module.RIGHT_M
-    assert (~found.determined[:, 0]).any()
-    assert wrong[~found.determined[:, 0]].any(axis=1).all()
+def test_a_wrong_pose_that_explains_the_touches_as_well_makes_them_undetermined(hook, found):
+    alone = found.group("touches")[1,]
+    undetermined = np.flatnonzero(~alone["determined"])
+    assert len(undetermined)
+    for row in undetermined:
+        listed = alone["T_sensor_object"][row][np.isfinite(alone["probabilities"][row])]
+        errors_m = PoseJudge(hook.object).measure_errors(listed, alone["T_true"][row])
+        assert (errors_m[:, METRICS.index("surface")] > RIGHT_M).any()
 
 
 @pytest.mark.slow
@@ -90,7 +94,8 @@ def test_an_interrupted_evaluation_resumes_with_the_same_results(hook, examples,
     calls.clear()
     result = evaluate_recall(fresh, again, (1, 2))
     assert len(calls) == 2  # of the third example; the first two were kept
-    assert np.array_equal(result.errors_m, found.errors_m)
+    for name in METRICS:
+        assert np.array_equal(result.errors_m("first", name), found.errors_m("first", name))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,6 +104,7 @@ class Troubled:
 
     examples: DrawnExamples
     count: int = 3
+    labels: ClassVar = {"noise": "troubled", "seed": -1}
 
     def draw(self, number: int) -> Example:
         observations = self.examples.draw(number).observations
@@ -120,13 +126,13 @@ def test_examples_that_cannot_be_located_are_kept_with_their_reason(hook, exampl
 
     monkeypatch.setattr(module, "localize_together", refuse)
     found = evaluate_recall(hook, Troubled(examples), (1, 2))
-    assert found.verdict[1, 1] == "refused"
-    assert found.problem[1, 1] == "b.npz is damaged"
-    assert found.verdict[2].tolist() == ["no contact", module.ABSENT]
-    assert found.problem[2, 0] == "nothing touches the gel"
-    assert np.isinf(found.errors_m[2, 0]).all()
-    assert np.isfinite(found.errors_m[0, 1, 0]).all()
-    assert np.isnan(found.seconds[2, 0])
+    labels = list(zip(found["example"], found["touches"], strict=True))
+    assert labels == [(0, 1), (0, 2), (1, 1), (1, 2), (2, 1)]  # the third example has a single touch
+    assert (found["verdict"][3], found["problem"][3]) == ("refused", "b.npz is damaged")
+    assert (found["verdict"][4], found["problem"][4]) == ("no contact", "nothing touches the gel")
+    assert np.isinf(found.errors_m()[4])
+    assert np.isfinite(found.errors_m()[1])
+    assert np.isnan(found["seconds"][4])
 
 
 def test_poses_are_in_the_first_sensor_s_frame_if_the_first_touch_is_left_out(examples):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 from collections import Counter
@@ -10,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from message_helpers import naming
-from pandas.testing import assert_frame_equal
 
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
 from tactile_loc.core.runtime.progress import Progress
@@ -22,11 +21,13 @@ from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.sweep.combination import combine
 from tactile_loc.evaluation.sweep.plan import Plan
-from tactile_loc.evaluation.sweep.results import read_sweep, write_sweep
-from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, make_table, run_sweep
+from tactile_loc.evaluation.sweep.results import read_sweep
+from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, run_sweep
+from tactile_loc.evaluation.text_tables import read_parquet
 from tactile_loc.evaluation.workers import ClusterError, DaskWorkers, LocalWorkers
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.reports.sweep_figures import write_sweep
 from tactile_loc.store.store import StageStore
 
 distributed = pytest.importorskip("distributed")
@@ -127,8 +128,8 @@ def test_a_row_holds_the_values_of_the_protocol(swept, tmp_path):
     one, row = swept.combinations[3], swept.rows[3]
     localizer = Localizer(one.config, load_object("head"), StageStore(tmp_path))
     found = evaluate(localizer, 4, SimulatedTouches("strong", 0, False))
-    assert row["reg-1_median_mm"] == pytest.approx(1e3 * np.median(found.select_errors("reg-1")), rel=1e-4)
-    assert row["best-1_mean_mm"] == pytest.approx(1e3 * found.select_errors("best-1").mean(), rel=1e-4)
+    assert row["reg-1_median_mm"] == pytest.approx(1e3 * np.median(found.errors_m("reg-1", "add")), rel=1e-4)
+    assert row["best-1_mean_mm"] == pytest.approx(1e3 * found.errors_m("best-1", "add").mean(), rel=1e-4)
     assert row["closest_median_share"] == pytest.approx(row["closest_median_mm"] / row["random_mean_mm"], rel=1e-4)
     assert (row["object"], row["refiner"], row["grid_poses"]) == ("head", "filterreg", localizer.model.size)
     assert row["total_ms"] >= row["match_ms"] > 0
@@ -174,17 +175,16 @@ def test_a_larger_plan_reuses_the_rows_of_a_smaller_plan(swept, folder, tiny):
 def test_a_sweep_writes_its_tables_and_figures(swept, folder):
     written = write_sweep(folder / "written", swept, "reg-1")
     assert [path.name for path in written] == [
-        "sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png", "effects.png",
+        "sweep.json", "sweep.csv", "sweep.md", "sweep.parquet", "error-time.png", "effects.png",
     ]  # fmt: skip
     rows = [{k: v for k, v in row.items() if k != "configuration"} for row in read_sweep(folder / "written")["rows"]]
     assert rows == swept.rows
-    assert_frame_equal(make_table(rows), swept.table)
-    assert_frame_equal(
-        pd.read_csv(written[0], keep_default_na=False)[["object", "key"]],
-        swept.table[["object", "key"]],
-        check_dtype=False,
-    )
-    record: dict[str, Any] = json.loads(written[2].read_text())
+    with written[1].open() as file:
+        assert [(row["object"], row["key"]) for row in csv.DictReader(file)] == [
+            (row["object"], row["key"]) for row in rows
+        ]
+    assert read_parquet(written[3], "") == [{k: v for k, v in row.items() if v is not None} for row in rows]
+    record: dict[str, Any] = json.loads(written[0].read_text())
     assert (record["combinations"], record["failed"], record["built"]) == (4, 0, swept.built)
     assert record["plan"]["refiner"][1]["name"] == "filterreg"
     assert {"tactile-loc", "python", "numpy"} <= set(record["versions"])

@@ -6,14 +6,13 @@ import csv
 import json
 import sys
 
-import pandas as pd
 import pytest
 from message_helpers import naming
 
 from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.evaluation.protocol import LINES
-from tactile_loc.evaluation.sweep.results import format_csv, write_parquet
-from tactile_loc.evaluation.sweep.sweep import MOMENTARY, list_columns, make_table, require_tables
+from tactile_loc.evaluation.sweep.sweep import MOMENTARY, list_columns
+from tactile_loc.evaluation.text_tables import format_csv, require_parquet, write_parquet
 from tactile_loc.slots.registry import SLOTS
 
 VALUES = {
@@ -62,15 +61,9 @@ def test_rows_follow_the_order_of_the_plan_and_omit_inapplicable_values(rows):
     assert all(row["chosen_median_mm"] is None and row["key"] for row in failed)
 
 
-def test_the_table_holds_the_values_of_the_rows(rows):
-    table = make_table(rows)
-    assert list(table) == list(rows[0])
-    assert [{k: None if pd.isna(v) else v for k, v in row.items()} for row in table.to_dict("records")] == rows
-
-
 def test_csv_holds_all_digits_and_leaves_missing_values_empty(rows, tmp_path):
     path = tmp_path / "sweep.csv"
-    path.write_text(format_csv(make_table(rows)), encoding="utf-8")
+    path.write_text(format_csv(rows), encoding="utf-8")
     with path.open(encoding="utf-8", newline="") as file:
         read = list(csv.DictReader(file))
     assert len(read) == len(rows)
@@ -87,7 +80,7 @@ def test_csv_holds_all_digits_and_leaves_missing_values_empty(rows, tmp_path):
 def test_parquet_is_read_back_with_its_types(rows, tmp_path):
     from pyarrow import parquet
 
-    path = write_parquet(tmp_path / "sweep.parquet", make_table(rows))
+    path = write_parquet(tmp_path / "sweep.parquet", rows)
     table = parquet.read_table(path)
     assert table.to_pylist() == rows
     types = {field.name: str(field.type) for field in table.schema}
@@ -96,14 +89,7 @@ def test_parquet_is_read_back_with_its_types(rows, tmp_path):
     assert json.loads(table.to_pylist()[0]["built"])[0].startswith("grid ")
 
 
-def test_column_types_do_not_depend_on_failures(rows):
-    failed = [row for row in rows if row["error"]]
-    table = make_table(failed)
-    assert (table["best-1_median_mm"].dtype, table["grid_poses"].dtype) == ("float64", "Int64")
-
-
-@pytest.mark.parametrize("library", ["pandas", "pyarrow"])
-def test_a_missing_library_gives_an_error_with_the_package_to_install(monkeypatch, library):
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(MissingLibraryError, match=naming(library, "pip install 'tactile-loc[sweep]'")):
-        require_tables()
+def test_a_missing_library_gives_an_error_with_the_package_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingLibraryError, match=naming("pyarrow", "pip install 'tactile-loc[sweep]'")):
+        require_parquet("a sweep")

@@ -19,10 +19,11 @@ from message_helpers import naming
 from tactile_loc.core.runtime.errors import UnknownPluginError
 from tactile_loc.evaluation.jobs import JOURNALS, FinishedJobs, do_job
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
-from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, Evaluation
+from tactile_loc.evaluation.protocol import LINES, STAGES
 from tactile_loc.evaluation.sweep.combination import COVERAGES, ERRORS, TIMES, CombinationJob, combine, summarise
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import Sweep, run_sweep
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers, run_on_dask
 from tactile_loc.io.config import RunConfig
 from tactile_loc.slots.registry import registry
@@ -204,19 +205,18 @@ def test_a_job_whose_result_is_lost_is_awaited_again(tmp_path, monkeypatch):
     assert list(run_on_dask(client, [job], {"key": pin})) == [(job, "measured again")]
 
 
-def evaluation(**posterior_metrics: float) -> Evaluation:
+def make_table(**columns: float) -> ExampleTable:
     """Three touches: the errors of line l are 1, 2 and 4 times l + 1 mm; random poses err by 20 mm on average."""
-    errors_m = 1e-3 * np.arange(1, len(LINES) + 1)[None, :, None] * np.array([1, 2, 4])[:, None, None]
-    errors_m = np.repeat(errors_m, len(METRICS), axis=2)
-    errors_m[:, LINES.index("random")] = np.array([10e-3, 20e-3, 30e-3])[:, None]
+    errors_m = {f"{line} add_m": 1e-3 * (k + 1) * np.array([1, 2, 4]) for k, line in enumerate(LINES)}
+    errors_m["random add_m"] = np.array([10e-3, 20e-3, 30e-3])
     seconds = np.array([[1, 2, 3, 4], [1, 2, 3, 40], [9, 2, 3, 5]]) * 1e-3
-    rows = [[posterior_metrics.get(name, 0.4) for name in POSTERIOR_METRICS]] * 3
-    poses, ones = np.zeros((3, len(LINES), 4, 4)), np.ones(3)
-    return Evaluation(errors_m, poses, seconds, np.array(rows), ones, ones, np.zeros(3, int))
+    times = {f"{stage}_s": seconds[:, k] for k, stage in enumerate(STAGES)}
+    labels = {"object": "pin", "encoder": "pixel", "touches": 1, "grid_poses": 7}
+    return ExampleTable.make({**errors_m, **times}, **labels, **{**dict.fromkeys(POSTERIOR_METRICS, 0.4), **columns})
 
 
 def test_a_summary_has_errors_in_mm_and_shares_and_times_in_ms():
-    found = summarise(evaluation(), 7)
+    found = summarise(make_table())
     assert set(found) == {"grid_poses", *ERRORS, *COVERAGES, "nll_nats", *TIMES}
     line = LINES.index("reg-1") + 1
     assert found["reg-1_median_mm"] == pytest.approx(2 * line)
@@ -230,6 +230,6 @@ def test_a_summary_has_errors_in_mm_and_shares_and_times_in_ms():
 
 
 def test_infinite_values_are_missing():
-    found = summarise(evaluation(nll=np.inf, credible_level=0.9), 7)
+    found = summarise(make_table(nll_nats=np.inf, credible_level=0.9))
     assert found["nll_nats"] is None
     assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [0, 0, 1]

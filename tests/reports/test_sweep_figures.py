@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from message_helpers import naming
+from report_helpers import make_sweep
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.evaluation.sweep.figures import (
+from tactile_loc.evaluation.sweep.results import require_line
+from tactile_loc.reports.sweep_figures import (
     DIGIT,
     LINE,
     Point,
@@ -19,7 +21,6 @@ from tactile_loc.evaluation.sweep.figures import (
     place_labels,
     write_ranges,
 )
-from tactile_loc.evaluation.sweep.results import require_line
 
 pytestmark = pytest.mark.usefixtures("arranged_pictures")
 
@@ -40,8 +41,8 @@ def texts(axes) -> list[str]:
     return [text.get_text() for text in axes.texts]
 
 
-def test_every_combination_has_a_numbered_point_and_a_name(made_up):
-    figure = draw_error_time(made_up(VALUES, measure), "chosen")
+def test_every_combination_has_a_numbered_point_and_a_name():
+    figure = draw_error_time(make_sweep(VALUES, measure), "chosen")
     left, right, *others = figure.axes
     assert len(others) == 2  # the other noise
     assert sorted(texts(left)) == ["1", "2", "3", "4", "5", "6"]
@@ -53,8 +54,8 @@ def test_every_combination_has_a_numbered_point_and_a_name(made_up):
     assert left.get_title() == "noise: none"
 
 
-def test_each_varying_slot_has_a_panel(made_up):
-    figure = draw_effects(made_up(VALUES, measure), "chosen")
+def test_each_varying_slot_has_a_panel():
+    figure = draw_effects(make_sweep(VALUES, measure), "chosen")
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["encoder", "refiner"]
     assert [t.get_text() for t in figure.axes[1].get_yticklabels()] == ["none", "icp", "filterreg"]
     refiner = [float(t.removeprefix("x ")) for t in texts(figure.axes[1])]
@@ -62,12 +63,12 @@ def test_each_varying_slot_has_a_panel(made_up):
     assert np.prod(refiner) == pytest.approx(1, abs=0.03)
 
 
-def test_a_sweep_without_varying_results_has_no_figures(made_up):
+def test_a_sweep_without_varying_results_has_no_figures():
     assert (
-        draw_effects(made_up({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0, "total_ms": 1.0}), "chosen")
+        draw_effects(make_sweep({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0, "total_ms": 1.0}), "chosen")
         is None
     )
-    failed = made_up({"object": "pin", "refiner": ["none", "icp"]}, lambda one: "bad")
+    failed = make_sweep({"object": "pin", "refiner": ["none", "icp"]}, lambda one: "bad")
     assert draw_effects(failed, "chosen") is None
     assert draw_error_time(failed, "chosen") is None
 
@@ -116,8 +117,8 @@ def product(one) -> dict[str, float]:
     }
 
 
-def test_effects_equal_the_factors_of_a_product(made_up):
-    found = compute_effects(made_up(FACTORS, product), "chosen")
+def test_effects_equal_the_factors_of_a_product():
+    found = compute_effects(make_sweep(FACTORS, product), "chosen")
     assert set(found) == {"encoder", "refiner"}
     refiners = {name: np.exp(logs) for name, logs in found["refiner"].items()}
     mean = 2.0 ** (1 / 3)  # geometric mean of 4, 1 and 0.5
@@ -126,17 +127,17 @@ def test_effects_equal_the_factors_of_a_product(made_up):
     assert np.exp(found["encoder"]["pixel cells=12"]) == pytest.approx(np.full(12, np.sqrt(2)))
 
 
-def test_a_failure_removes_its_group_from_the_effect(made_up):
+def test_a_failure_removes_its_group_from_the_effect():
     def failing(one):
         return "bad" if one.object == "head" and one.config.refiner.name == "icp" else product(one)
 
-    found = compute_effects(made_up(FACTORS, failing), "chosen")
+    found = compute_effects(make_sweep(FACTORS, failing), "chosen")
     assert {len(logs) for logs in found["refiner"].values()} == {4}
     assert {len(logs) for logs in found["encoder"].values()} == {10}
 
 
-def test_points_are_geometric_means_over_objects(made_up):
-    sweep = made_up(FACTORS, product)
+def test_points_are_geometric_means_over_objects():
+    sweep = make_sweep(FACTORS, product)
     first = list_points(sweep, "chosen", "mild")[0]
     assert first.label == "pixel cells=12 + none"
     assert first.error_mm == pytest.approx(4 * 2 * 3 * 3)
@@ -144,19 +145,19 @@ def test_points_are_geometric_means_over_objects(made_up):
     assert len(list_points(sweep, "chosen", "none")) == 6
 
 
-def test_a_point_needs_results_of_all_objects(made_up):
-    sweep = made_up(
+def test_a_point_needs_results_of_all_objects():
+    sweep = make_sweep(
         FACTORS, lambda one: "bad" if one.place[0] == 1 and one.config.refiner.name == "icp" else product(one)
     )
     assert [p.label.split()[-1] for p in list_points(sweep, "chosen", "none")] == ["none", "filterreg"] * 2
 
 
-def test_cells_are_means_over_seeds(made_up):
-    sweep = made_up(
+def test_cells_are_means_over_seeds():
+    sweep = make_sweep(
         {**FACTORS, "seed": [0, 1, 2]}, lambda one: {**product(one), "chosen_median_mm": float(one.config.seed)}
     )
     found = sweep.compute_medians("chosen")
-    assert set(zip(found["error_mm"], found["time_ms"], strict=True)) == {(1.0, 20.0), (1.0, 80.0)}
+    assert {(one.error_mm, one.time_ms) for one in found} == {(1.0, 20.0), (1.0, 80.0)}
 
 
 def test_the_pareto_front_holds_the_points_that_no_point_beats():

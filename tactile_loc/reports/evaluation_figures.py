@@ -1,4 +1,4 @@
-"""Figures of evaluations: violins of errors, best and worst touches, credible sets, and errors by number of touches."""
+"""Figures of evaluations: errors as violins, galleries, credible sets, errors by number of touches, and recall."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.formatting import format_millimetres
-from tactile_loc.evaluation.fusion_tables import FusionRun
-from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS
-from tactile_loc.evaluation.protocol import Evaluation
+from tactile_loc.evaluation.metrics import LEVELS
+from tactile_loc.evaluation.paper_tables import find_scale_m, measure_coverage, normalise_errors, summarise_lines
+from tactile_loc.evaluation.protocol import LINES
+from tactile_loc.evaluation.recall.tables import name_noise
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.tables import Run
-from tactile_loc.evaluation.tabular import EvaluatedObject
+from tactile_loc.evaluation.summary import WITHIN_M, bin_probabilities, measure_recall
+from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.shape_pictures import OUTLINE
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.view.pictures import add_panels, draw_contact_shape, draw_outline, make_figure
@@ -38,18 +39,23 @@ LEAST_MM = 1e-2  # smaller errors are drawn at this value, since the axis is log
 FUSION_FLOOR = 1e-3  # the same as FLOOR, for several touches
 KINEMATIC = "#718096"
 TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+SHORTEST_MM, LONGEST_MM = 0.02, 50.0  # range of the thresholds
+TICKS_MM = (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)
+DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 2, 1, 2)))
+FEW = 5  # bins with fewer examples are not drawn
 
 
-def draw_violins(runs: Sequence[Run], title: str) -> Figure:
+def draw_violins(table: ExampleTable, title: str) -> Figure:
     """Draw a panel for each object: the distribution of each line's normalised ADD, with a colour for each encoder.
 
     The error axis is logarithmic. White dots are medians, thick bars extend between quartiles. Dashed lines are the
     medians of a random pose and of the grid pose nearest to the true pose.
     """
-    figure, panels, colours = _make_object_panels(runs, title, 4.9, 3.6, 0.5)
-    for name, axes in panels.items():
-        _draw_object(axes, [run for run in runs if run.object == name], colours)
-    lowest = min(_take_logarithm(run.evaluation.normalise_errors(line)).min() for run in runs for line in DRAWN)
+    figure, panels, colours = _make_object_panels(table, title, (4.9, 3.6), 0.5)
+    for (name,), some in table.group("object").items():
+        _draw_object(panels[name], some, colours)
+    runs = table.group("object", "encoder").values()
+    lowest = min(_take_logarithm(normalise_errors(run, line)).min() for run in runs for line in DRAWN)
     _scale_errors(next(iter(panels.values())), lowest)
     _add_legend(figure, _make_handles(colours))
     return figure
@@ -63,10 +69,11 @@ def _add_legend(figure: Figure, handles: Sequence[Any]) -> None:
 
 
 def _make_object_panels(
-    runs: Sequence[EvaluatedObject], title: str, width: float, height: float, wider: float = 0.0
+    table: ExampleTable, title: str, size: tuple[float, float], wider: float = 0.0
 ) -> tuple[Figure, dict[str, Axes], dict[str, str]]:
-    """Make a figure with a panel, `width` by `height` inches, for each object; choose a colour for each encoder."""
-    objects, encoders = (dict.fromkeys(names) for names in zip(*((r.object, r.encoder) for r in runs), strict=True))
+    """Make a figure with a panel, width by height in inches, for each object; choose a colour for each encoder."""
+    objects, encoders = (dict.fromkeys(table[name].tolist()) for name in ("object", "encoder"))
+    width, height = size
     columns = min(3, len(objects))
     rows = -(-len(objects) // columns)
     figure = make_figure(max(6.4, width * columns) + wider, height * rows + 1.1, constrained=True)
@@ -78,13 +85,13 @@ def _make_object_panels(
     return figure, dict(zip(objects, panels.flat, strict=False)), colours
 
 
-def draw_gallery(localizer: Localizer, evaluation: Evaluation, touches: SimulatedTouches, title: str) -> Figure:
+def draw_gallery(localizer: Localizer, table: ExampleTable, touches: SimulatedTouches, title: str) -> Figure:
     """Draw the best, median and worst touches of an evaluation, by the error of the refined most probable pose.
 
     The upper row shows the observed contact shapes. The lower row shows the contact shapes of the estimated poses
     without noise, with the observed outline.
     """
-    errors_m = evaluation.select_errors(GALLERY_LINE)
+    errors_m = table.errors_m(GALLERY_LINE, "add")
     chosen = _choose_touches(errors_m)
     figure = make_figure(2.35 * len(chosen) + 1.3, 5.8, constrained=True)
     figure.suptitle(textwrap.fill(title, int(8.5 * figure.get_figwidth())), size=13, weight="bold")
@@ -92,7 +99,8 @@ def draw_gallery(localizer: Localizer, evaluation: Evaluation, touches: Simulate
     deepest_m = localizer.scene.geometry.max_depth_m
     for column, (kind, number) in zip(panels.T, chosen, strict=True):
         touch = touches.draw_touch(localizer, number)
-        shape = localizer.scene.contact_shape(evaluation.select_poses(GALLERY_LINE)[number], touch.press_depth_m)
+        T = table["T_sensor_object"][number, LINES.index(GALLERY_LINE)]
+        shape = localizer.scene.contact_shape(T, touch.press_depth_m)
         draw_contact_shape(column[0], touch.contact_shape, touch.geometry, deepest_m)
         image = draw_contact_shape(column[1], shape, touch.geometry, deepest_m)
         draw_outline(column[1], touch)
@@ -107,17 +115,19 @@ def draw_gallery(localizer: Localizer, evaluation: Evaluation, touches: Simulate
     return figure
 
 
-def _draw_object(axes: Axes, runs: Sequence[Run], colours: dict[str, str]) -> None:
+def _draw_object(axes: Axes, table: ExampleTable, colours: dict[str, str]) -> None:
+    runs = table.group("encoder")
     width = ROOM / len(runs)
-    for i, run in enumerate(runs):
+    for i, ((encoder,), run) in enumerate(runs.items()):
         shift = (i - 0.5 * (len(runs) - 1)) * width
         for place, line in enumerate(DRAWN):
-            _draw_violin(axes, place + shift, width, run.evaluation.normalise_errors(line), colours[run.encoder])
+            _draw_violin(axes, place + shift, width, normalise_errors(run, line), colours[encoder])
+    first = next(iter(runs.values()))
     for line, colour in (("random", RANDOM), ("closest", CLOSEST)):
-        level = float(_take_logarithm(np.median(runs[0].evaluation.normalise_errors(line))))
+        level = float(_take_logarithm(np.median(normalise_errors(first, line))))
         axes.axhline(level, color=colour, lw=1.2, ls=(0, (5, 3)), zorder=1)
-    scale = format_millimetres(runs[0].evaluation.compute_scale_m())
-    axes.set_title(f"{runs[0].object} (random: {scale} on average)", size=11)
+    scale = format_millimetres(find_scale_m(first))
+    axes.set_title(f"{first['object'][0]} (random: {scale} on average)", size=11)
     axes.set_xticks(range(len(DRAWN)), [line.capitalize() for line in DRAWN], size=9)
     axes.set_xlim(-0.6, len(DRAWN) - 0.4)
     draw_grid(axes, axis="y")
@@ -181,7 +191,7 @@ def _choose_touches(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
     return [(kind, number) for number, kind in found.items()]
 
 
-def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
+def draw_reliability(table: ExampleTable, title: str) -> Figure:
     """Draw how reliable the posteriors are, in two panels.
 
     The left panel shows the coverage of credible sets against their probability, with a curve for each run. The right
@@ -190,12 +200,15 @@ def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
     figure = make_figure(11.5, 5.4, constrained=True)
     figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
     coverage, entropy = figure.subplots(1, 2)
-    for number, run in enumerate(runs):
+    for number, (names, run) in enumerate(table.group("object", "encoder").items()):
         colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number // len(COLOURS) % len(MARKERS)]
-        _draw_coverage(coverage, run, colour, marker)
-        posterior_metrics = run.evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("entropy")]
-        errors_mm = np.maximum(1e3 * run.evaluation.select_errors("reg-1"), LEAST_MM)
-        entropy.plot(posterior_metrics, errors_mm, marker, ms=4, alpha=0.6, color=colour, mec="none")
+        levels = np.sort(run["credible_level"])
+        sure = np.linspace(0, 1, 101)
+        held = np.searchsorted(levels, sure, side="right") / len(levels)
+        coverage.plot(100 * sure, 100 * held, color=colour, lw=1.6, label=", ".join(names))
+        coverage.plot(100 * np.array(LEVELS), 100 * np.array(measure_coverage(run)), marker, color=colour, ms=6)
+        errors_mm = np.maximum(1e3 * run.errors_m("reg-1", "add"), LEAST_MM)
+        entropy.plot(run["entropy_nats"], errors_mm, marker, ms=4, alpha=0.6, color=colour, mec="none")
     coverage.plot([0, 100], [0, 100], color="#1a202c", lw=1, ls=(0, (5, 3)), label="ideal")
     coverage.set(xlim=(0, 100), ylim=(0, 100), aspect="equal")
     coverage.set_xlabel("probability of the credible set (%)")
@@ -209,39 +222,33 @@ def draw_reliability(runs: Sequence[Run], title: str) -> Figure:
     return figure
 
 
-def _draw_coverage(axes: Axes, run: Run, colour: str, marker: str) -> None:
-    levels = np.sort(run.evaluation.posterior_metrics[:, POSTERIOR_METRICS.index("credible_level")])
-    sure = np.linspace(0, 1, 101)
-    held = np.searchsorted(levels, sure, side="right") / len(levels)
-    axes.plot(100 * sure, 100 * held, color=colour, lw=1.6, label=f"{run.object}, {run.encoder}")
-    axes.plot(100 * np.array(LEVELS), 100 * np.array(run.summarise_posteriors().coverage), marker, color=colour, ms=6)
-
-
-def draw_fusion(runs: Sequence[FusionRun], title: str) -> Figure:
+def draw_contacts(table: ExampleTable, title: str) -> Figure:
     """Draw a panel for each object: median and quartiles of the normalised error against the number of contacts.
 
     The lines are best-1 of each encoder, and kinematic of the first encoder. The error axis is logarithmic; a second
     axis on the right is in mm.
     """
-    figure, panels, colours = _make_object_panels(runs, title, 4.4, 3.4)
-    for name, axes in panels.items():
-        _draw_fused_object(axes, [run for run in runs if run.object == name], colours)
+    figure, panels, colours = _make_object_panels(table, title, (4.4, 3.4))
+    for (name,), some in table.group("object").items():
+        _draw_fused_object(panels[name], some, colours)
     _add_legend(figure, next(iter(panels.values())).get_legend_handles_labels()[0])
     return figure
 
 
-def _draw_fused_object(axes: Axes, runs: Sequence[FusionRun], colours: dict[str, str]) -> None:
-    _draw_line(axes, runs[0], "kinematic", KINEMATIC, "s", "kinematic")
-    for run in runs:
-        _draw_line(axes, run, "best-1", colours[run.encoder], "o", f"best-1, {run.encoder}")
+def _draw_fused_object(axes: Axes, table: ExampleTable, colours: dict[str, str]) -> None:
+    runs = table.group("encoder")
+    first = next(iter(runs.values()))
+    _draw_line(axes, first, "kinematic", "kinematic", color=KINEMATIC, marker="s")
+    for (encoder,), run in runs.items():
+        _draw_line(axes, run, "best-1", f"best-1, {encoder}", color=colours[encoder], marker="o")
     axes.axhline(1.0, color=RANDOM, lw=1, ls=(0, (5, 3)), label="random pose, mean")
     axes.set_yscale("log")
     axes.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])
     axes.minorticks_off()
-    axes.set_xticks(runs[0].evaluation.contacts)
+    axes.set_xticks(np.unique(first["touches"]))
     axes.set_xlabel("number of contacts")
-    random_mm = 1e3 * runs[0].evaluation.compute_scale_m()
-    axes.set_title(f"{runs[0].object} (random: {random_mm:.1f} mm)", size=11)
+    random_mm = 1e3 * find_scale_m(first)
+    axes.set_title(f"{first['object'][0]} (random: {random_mm:.1f} mm)", size=11)
     right = axes.secondary_yaxis(
         "right", functions=(lambda v: np.multiply(v, random_mm), lambda v: np.divide(v, random_mm))
     )
@@ -252,10 +259,78 @@ def _draw_fused_object(axes: Axes, runs: Sequence[FusionRun], colours: dict[str,
     axes.spines["right"].set_visible(True)
 
 
-def _draw_line(axes: Axes, run: FusionRun, line: str, colour: str, marker: str, label: str) -> None:
+def _draw_line(axes: Axes, run: ExampleTable, line: str, label: str, **style: Any) -> None:
     """Draw the medians as a line and the quartiles as a band."""
-    contacts = run.evaluation.contacts
-    found = [run.summarise(line, n, normalised=True) for n in contacts]
-    low, median, high = np.maximum([(s.q25, s.median, s.q75) for s in found], FUSION_FLOOR).T
-    axes.fill_between(contacts, low, high, color=colour, alpha=0.2, lw=0)
-    axes.plot(contacts, median, marker=marker, ms=5, lw=1.8, color=colour, label=f"{label}: median, quartiles")
+    rows = summarise_lines(run, [line])
+    contacts = [row["contacts"] for row in rows]
+    found = [[row[f"{name}_normalised"] for name in ("q25", "median", "q75")] for row in rows]
+    low, median, high = np.maximum(found, FUSION_FLOOR).T
+    axes.fill_between(contacts, low, high, color=style["color"], alpha=0.2, lw=0)
+    axes.plot(contacts, median, ms=5, lw=1.8, label=f"{label}: median, quartiles", **style)
+
+
+def draw_recall(table: ExampleTable, title: str) -> Figure:
+    """Draw the recall of the first pose against the threshold, and the reliability of its probability, in two panels.
+
+    The panels show all objects together. The colour is the number of touches, the line style the noise. A thin line is
+    the recall of any listed pose. Bins with fewer than FEW examples are left out.
+    """
+    groups = table.group("encoder", "noise", "touches")
+    figure = make_figure(11.5, 5.6, constrained=True)
+    figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
+    recall, reliability = figure.subplots(1, 2, width_ratios=[1.25, 1])
+    colours = dict(zip(dict.fromkeys(touches for *_, touches in groups), itertools.cycle(COLOURS), strict=False))
+    styles = dict(
+        zip(dict.fromkeys((encoder, noise) for encoder, noise, _ in groups), itertools.cycle(DASHES), strict=False)
+    )
+    for (encoder, noise, touches), some in groups.items():
+        label = f"{'1 touch' if touches == 1 else f'{touches} touches'}, {name_noise(noise)}"
+        _draw_curves(recall, some, label, color=colours[touches], ls=styles[encoder, noise])
+    for number, (touches, colour) in enumerate(colours.items()):
+        _draw_reliability(reliability, table.select(table["touches"] == touches), colour, -10 * (number + 1))
+    _label_recall(recall)
+    _label_reliability(reliability)
+    handles, labels = recall.get_legend_handles_labels()
+    columns = min(4, max(2, len(styles)))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+    return figure
+
+
+def _draw_curves(axes: Axes, table: ExampleTable, label: str, **style: Any) -> None:
+    thresholds_mm = np.geomspace(SHORTEST_MM, LONGEST_MM, 400)
+    first, listed = (100 * measure_recall(table, 1e-3 * thresholds_mm, line) for line in ("first", "listed"))
+    axes.plot(thresholds_mm, listed, lw=0.8, alpha=0.8, **style)
+    axes.plot(thresholds_mm, first, lw=2, label=label, **style)
+
+
+def _draw_reliability(axes: Axes, table: ExampleTable, colour: str, below: int) -> None:
+    """Draw the reliability, with the number of examples of each bin `below` its dot, in points."""
+    bins = [b for b in bin_probabilities(table) if b.examples >= FEW]
+    if not bins:
+        return
+    stated, right = (100 * np.array([getattr(b, name) for b in bins], float) for name in ("stated", "right"))
+    axes.plot(stated, right, "o-", color=colour, lw=1.4, ms=6, clip_on=False, zorder=3)
+    for b, x, y in zip(bins, stated, right, strict=True):
+        axes.annotate(str(b.examples), (x, y), (5, below), textcoords="offset points", size=8, color=colour)
+
+
+def _label_recall(axes: Axes) -> None:
+    axes.set_xscale("log")
+    axes.set_xticks(TICKS_MM, [f"{tick:g}" for tick in TICKS_MM], size=9)
+    axes.minorticks_off()
+    axes.set(xlim=(SHORTEST_MM, LONGEST_MM), ylim=(0, 101))
+    for within_m in WITHIN_M:
+        axes.axvline(1e3 * within_m, color="#a0aec0", lw=1, ls=(0, (2, 2)), zorder=0)
+    axes.set_xlabel("surface distance (mm)")
+    axes.set_ylabel("examples with a smaller error (%)")
+    axes.set_title("Recall: thick = first pose, thin = any listed pose", size=10)
+    draw_grid(axes)
+
+
+def _label_reliability(axes: Axes) -> None:
+    axes.plot([0, 100], [0, 100], color="#1a202c", lw=1, ls=(0, (5, 3)))
+    axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal")
+    axes.set_xlabel("stated probability of the first pose (%)")
+    axes.set_ylabel("first poses within 1 mm (%)")
+    axes.set_title("Reliability; numbers of examples beside the dots", size=10)
+    draw_grid(axes)

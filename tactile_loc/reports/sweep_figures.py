@@ -5,17 +5,19 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.formatting import show_name
-from tactile_loc.evaluation.figures import COLOURS
 from tactile_loc.evaluation.sweep.plan import find_varying_slots, name_choices
-from tactile_loc.evaluation.sweep.sweep import Sweep, average_all
+from tactile_loc.evaluation.sweep.results import write_sweep_tables
+from tactile_loc.evaluation.sweep.sweep import Sweep
+from tactile_loc.reports.evaluation_figures import COLOURS
 from tactile_loc.slots.registry import SLOTS
-from tactile_loc.view.pictures import group_nearby, make_figure
+from tactile_loc.view.pictures import group_nearby, make_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,17 +46,32 @@ class Point:
     time_ms: float
 
 
+def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
+    """Write all results into the folder `out` and return their paths.
+
+    The summary and the pictures show the errors of `line`, one of the protocol's LINES. A picture without data is left
+    out. Raises OutputError.
+    """
+    written = write_sweep_tables(out, sweep, line)
+    for name, draw in (("error-time", draw_error_time), ("effects", draw_effects)):
+        figure = draw(sweep, line)
+        path = out / f"{name}.png"
+        if figure is None:
+            path.unlink(missing_ok=True)  # an older sweep may have drawn it
+        else:
+            written.append(save_figure(path, figure))
+    return written
+
+
 def list_points(sweep: Sweep, line: str, noise: str) -> list[Point]:
     """Return a point for each combination of components that succeeded on all objects, in the plan's order."""
-    medians = sweep.compute_medians(line)
-    of_noise = medians[medians["noise"] == noise]
-    logs = np.log(of_noise[["error_mm", "time_ms"]].clip(lower=LEAST_MM))
-    keys = [of_noise[name] for name in (*SLOTS, "label")]
-    means = np.exp(logs.groupby(keys, sort=False).agg(average_all)).dropna()
-    return [
-        Point(str(label), tuple(choices), *row)
-        for (*choices, label), row in zip(means.index, means.to_numpy(), strict=True)
-    ]
+    logs: dict[tuple[str, tuple[int, ...]], list[list[float]]] = {}
+    for one in sweep.compute_medians(line):
+        if one.noise == noise:
+            values = np.log(np.maximum([one.error_mm, one.time_ms], LEAST_MM)).tolist()
+            logs.setdefault((one.label, one.choices), []).append(values)
+    points = (Point(*names, *np.exp(np.mean(values, axis=0)).tolist()) for names, values in logs.items())
+    return [point for point in points if np.isfinite(point.error_mm + point.time_ms)]
 
 
 def find_pareto_front(found: Sequence[Point]) -> list[Point]:
@@ -73,13 +90,17 @@ def compute_effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.f
     K is the number of settings of all else (objects, noises, other slots) for which no choice failed.
     """
     medians, labels = sweep.compute_medians(line), name_choices(sweep.plan)
-    logs = medians.assign(log=np.log(medians["error_mm"].clip(lower=LEAST_MM)))
     found = {}
     for slot in find_varying_slots(sweep.plan):
-        others = ["object", "noise", *(other for other in SLOTS if other != slot)]
-        choices = logs.pivot(index=others, columns=slot, values="log").dropna()
-        ratios = choices.sub(choices.mean(axis=1), axis=0)
-        found[slot] = {labels[slot][place]: ratios[place].to_numpy() for place in ratios.columns}
+        place = SLOTS.index(slot)
+        logs: dict[Any, dict[int, float]] = {}
+        for one in medians:
+            others = one.object, one.noise, one.choices[:place], one.choices[place + 1 :]
+            logs.setdefault(others, {})[one.choices[place]] = np.log(np.maximum(one.error_mm, LEAST_MM))
+        rows = np.array([[choices[k] for k in sorted(choices)] for _, choices in sorted(logs.items())])
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        ratios = rows - rows.mean(axis=1, keepdims=True)
+        found[slot] = {label: ratios[:, k] for k, label in enumerate(labels[slot])}
     return found
 
 
@@ -190,7 +211,7 @@ def _draw_points(
 
 def _write_list(
     axes: Axes, found: Sequence[Point], front: Sequence[Point], numbers: Mapping[tuple[int, ...], int]
-) -> None:  # fmt: skip
+) -> None:
     """Write the names of the numbered points, the best first."""
     axes.set_axis_off()
     ordered = sorted(found, key=lambda p: (p not in front, numbers[p.choices]))

@@ -1,0 +1,338 @@
+"""Tables of the paper's protocol, by touch and by number of contacts: Markdown and CSV in mm, JSON in SI units."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_loc.core.runtime.formatting import format_mm
+from tactile_loc.evaluation import text_tables
+from tactile_loc.evaluation.ambiguity import AMBIGUOUS
+from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION
+from tactile_loc.evaluation.metrics import LEVELS
+from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES
+from tactile_loc.evaluation.summary import find_median, summarise_errors
+from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
+from tactile_loc.evaluation.text_tables import Columns, Row, Table, format_length, pivot, tabulate
+
+TOUCH_SCHEMA, CONTACTS_SCHEMA = 3, 2
+SHOWN = tuple(line for line in LINES if line != "random-10")  # the lines in the summary
+JUDGED = ("best-1", "reg-1", "chosen")  # tabulated separately for unambiguous touches
+AREAS = (0.0, 0.01, 0.02, 0.05, 0.15, 1.0)  # limits of contact areas, as shares of the observed pixels
+AREA_LINE, WITHIN_M = "chosen", 1e-3  # the line and the limit of error that are tabulated by contact area
+SHARE_NOTE = "divided by the mean error of a random pose. Symmetric poses count as equal."
+AREA_NOTE = (
+    "By contact area, the share of the sensor in contact: the median ADD of `chosen` in mm, the share of touches "
+    "within 1 mm, and in brackets the number of touches. Refused presses show no touch: less contact than the grid "
+    "needs, or only a flat face. They do not count elsewhere:"
+)
+AMBIGUITY_NOTE = (
+    "A touch is ambiguous if a pose more than 5 mm away makes the same contact, within the noise (that of the touches, "
+    "or mild for clean ones). Median ADD in mm over all touches, and over the unambiguous ones, which are the measure "
+    "of a method:"
+)
+COVERAGE_NOTE = (
+    "Coverage: the share of true poses in the smallest sets of poses that hold 50, 80 and 95 % of the probability. "
+    "NLL: the mean negative log-likelihood of the grid pose nearest to the truth, beside that of a uniform posterior. "
+    "Expected error and spread: the mean distance of the posterior's poses from the truth and from its most probable "
+    "pose:"
+)
+CONTACTS_NOTE = (
+    f"ADD of the most probable pose in mm and, in brackets, {SHARE_NOTE} `kinematic` uses contact only, and takes one "
+    "of the poses that touch all sensors. Without common pose: examples in which no grid pose touches all sensors; "
+    "they are located from the first contact only."
+)
+
+
+def find_scale_m(table: ExampleTable, metric: str = "add") -> float:
+    """Return the mean error of a random pose of the grid, metres, by which the paper divides errors."""
+    return float(table.errors_m("random", metric).mean())
+
+
+def normalise_errors(run: ExampleTable, line: str) -> NDArray[np.float64]:
+    """Return the ADD (E,) of a line divided by the mean ADD of a random pose, unitless."""
+    return run.errors_m(line, "add") / find_scale_m(run)
+
+
+def summarise_lines(table: ExampleTable, lines: Sequence[str], metrics: Sequence[str] = ("add",)) -> list[Row]:
+    """Return a row of statistics for each object, encoder, line, metric and number of contacts."""
+    rows = []
+    for (name, encoder), run in table.group("object", "encoder").items():
+        by_contacts = run.group("touches")
+        for line, metric, (contacts,) in itertools.product(lines, metrics, by_contacts):
+            some = by_contacts[contacts,]
+            statistics = summarise_errors(some.errors_m(line, metric), find_scale_m(run, metric))
+            about = {"object": name, "encoder": encoder, "line": line, "metric": metric, "contacts": contacts}
+            alone = some.columns.get(f"{line} alone")
+            rows.append(about | statistics | {"without_common": 0 if alone is None else int(alone.sum())})
+    return rows
+
+
+def summarise_touches(table: ExampleTable) -> list[Row]:
+    """Return a row for each object and encoder: ambiguity, contact areas, median times, and means of the posteriors.
+
+    `coverage` has, for each of LEVELS, the share of touches whose true pose is in the credible set of this level.
+    `uniform_nll_nats` is the negative log-likelihood of a uniform posterior.
+    """
+    rows = []
+    for (name, encoder), run in table.group("object", "encoder").items():
+        ambiguous = run["ambiguity"] < AMBIGUOUS
+        means = ("nll_nats", "entropy_nats", "expected_error_m", "spread_m")
+        rows.append(
+            {
+                "object": name,
+                "encoder": encoder,
+                "touches": len(run),
+                "refused": run.count_refused(),
+                "random_mean_m": {metric: find_scale_m(run, metric) for metric in METRICS},
+                "median_seconds": {stage: float(np.median(run[f"{stage}_s"])) for stage in STAGES},
+                "ambiguous": float(ambiguous.mean()),
+                "unambiguous_median_m": {line: find_median(run.errors_m(line, "add")[~ambiguous]) for line in JUDGED},
+                "contact_areas": list(_group_areas(run)),
+                "levels": list(LEVELS),
+                "coverage": measure_coverage(run),
+                "uniform_nll_nats": float(np.log(run["grid_poses"][0])),
+                **{name: float(run[name].mean()) for name in means},
+            }
+        )
+    return rows
+
+
+def measure_coverage(table: ExampleTable) -> list[float]:
+    """Return, for each of LEVELS, the share of touches whose true pose is in the credible set of this level."""
+    return [float((table["credible_level"] <= sure).mean()) for sure in LEVELS]
+
+
+def _group_areas(run: ExampleTable) -> Iterator[Row]:
+    """Yield, for each of AREAS, the number of touches and the errors of AREA_LINE, metres, None without touches."""
+    errors, share = run.errors_m(AREA_LINE, "add"), run["contact_share"]
+    for low, high in itertools.pairwise(AREAS):
+        some = errors[(share >= low) & ((share < high) | (high == AREAS[-1]))]
+        within = float((some < WITHIN_M).mean()) if len(some) else None
+        yield {"from": low, "to": high, "touches": len(some), "median_m": find_median(some), "within_1_mm": within}
+
+
+# ---- from one touch
+
+_RUN: Columns = {"object": itemgetter("object"), "encoder": itemgetter("encoder")}
+
+
+def format_share_of_random(row: Row) -> str:
+    """Return the median error of a row of `summarise_lines` as a share of a random pose's mean error."""
+    return f"{row['median_normalised']:.3f}"
+
+
+def format_median(row: Row) -> str:
+    """Return the median error of a row of `summarise_lines` in mm."""
+    return format_mm(row["median_m"])
+
+
+def format_both(row: Row) -> str:
+    """Return the median error of a row of `summarise_lines` in mm, and in brackets as a share."""
+    return f"{format_median(row)} ({format_share_of_random(row)})"
+
+
+def tabulate_medians(rows: Sequence[Row], cell: Callable[[Row], str] = format_both) -> Table:
+    """Return a row for each object and encoder, from `summarise_lines`: the `cell` of each line of SHOWN."""
+    shown = [row for row in rows if row["line"] in SHOWN and row["metric"] == "add"]
+    return pivot(shown, ("object", "encoder"), "line", cell)
+
+
+def tabulate_ambiguity(rows: Sequence[Row], lines: Sequence[Row]) -> Table:
+    """Return a row for each row of `summarise_touches`: the share of ambiguous touches, and median errors in mm.
+
+    The medians are over all touches, from `summarise_lines`, and over the unambiguous touches.
+    """
+    columns = {**_RUN, "ambiguous": lambda row: f"{100 * row['ambiguous']:.0f} %"}
+    for line in JUDGED:
+        columns[f"{line}, all"] = partial(_format_line, lines, line)
+        columns[f"{line}, unambiguous"] = partial(_format_unambiguous, line)
+    return tabulate(rows, columns)
+
+
+def _format_line(lines: Sequence[Row], line: str, row: Row, metric: str = "add") -> str:
+    """Return the median error of a line in mm, of the object and encoder of a row."""
+    wanted = {"object": row["object"], "encoder": row["encoder"], "line": line, "metric": metric}
+    return format_median(next(one for one in lines if wanted.items() <= one.items()))
+
+
+def _format_unambiguous(line: str, row: Row) -> str:
+    return format_length(row["unambiguous_median_m"][line])
+
+
+def tabulate_areas(rows: Sequence[Row]) -> Table:
+    """Return a row for each row of `summarise_touches`: the number of refused presses, and a cell for each area.
+
+    A cell has the median error in mm, the share of touches within WITHIN_M, and in brackets the number of touches.
+    """
+    limits = [f"{100 * share:g}" for share in AREAS]
+    between = [f"{low} to {high} %" for low, high in itertools.pairwise(limits[1:-1])]
+    heads = [f"below {limits[1]} %", *between, f"above {limits[-2]} %"]
+    columns = {**_RUN, "refused": lambda row: str(row["refused"])}
+    return tabulate(rows, columns | {head: partial(_format_area, k) for k, head in enumerate(heads)})
+
+
+def _format_area(number: int, row: Row) -> str:
+    area = row["contact_areas"][number]
+    count = area["touches"]
+    return f"{format_mm(area['median_m'])}, {100 * area['within_1_mm']:.0f} % ({count})" if count else "-"
+
+
+def tabulate_posteriors(rows: Sequence[Row]) -> Table:
+    """Return a row for each row of `summarise_touches`: the coverage of the credible sets, and mean metrics."""
+    columns = {**_RUN}
+    for k, level in enumerate(LEVELS):
+        columns[f"in the {100 * level:.0f} % set"] = partial(_format_coverage, k)
+    for head, name in {"NLL, nats": "nll_nats", "uniform": "uniform_nll_nats", "entropy": "entropy_nats"}.items():
+        columns[head] = partial(_format_nats, name)
+    for head, name in {"expected error, mm": "expected_error_m", "spread, mm": "spread_m"}.items():
+        columns[head] = partial(_format_mean, name)
+    return tabulate(rows, columns)
+
+
+def _format_coverage(number: int, row: Row) -> str:
+    return f"{100 * row['coverage'][number]:.0f} %"
+
+
+def _format_nats(name: str, row: Row) -> str:
+    return f"{row[name]:.2f}"
+
+
+def _format_mean(name: str, row: Row) -> str:
+    return format_mm(row[name])
+
+
+_LENGTHS: Columns = {
+    "line": itemgetter("line"),
+    "median": format_median,
+    "mean": lambda row: format_mm(row["mean_m"]),
+    "std": lambda row: format_mm(row["std_m"]),
+    "quartiles": lambda row: f"{format_mm(row['q25_m'])} to {format_mm(row['q75_m'])}",
+}
+_SHARES: Columns = {
+    "median / random": format_share_of_random,
+    "mean / random": lambda row: f"{row['mean_normalised']:.3f}",
+}
+
+
+def format_markdown(table: ExampleTable, heading: str) -> str:
+    """Return all tables of an evaluation from one touch as Markdown, lengths in mm."""
+    lines, touches = summarise_lines(table, LINES, METRICS), summarise_touches(table)
+    times = {stage: partial(_format_time, stage) for stage in STAGES}
+    parts = [f"# {heading}\n"]
+    for note, some in (
+        (f"Median ADD in mm and, in brackets, {SHARE_NOTE}", tabulate_medians(lines)),
+        (AMBIGUITY_NOTE, tabulate_ambiguity(touches, lines)),
+        (AREA_NOTE, tabulate_areas(touches)),
+        ("Median time of each stage, ms:", tabulate(touches, {**_RUN, **times})),
+        (COVERAGE_NOTE, tabulate_posteriors(touches)),
+    ):
+        parts += [f"{note}\n", text_tables.format_markdown(some)]
+    for (name, encoder), run in table.group("object", "encoder").items():
+        others = {
+            f"median {metric.upper()}": lambda row, metric=metric: _format_line(lines, row["line"], row, metric)
+            for metric in ("mssd", "add-s")
+        }
+        columns = {**_LENGTHS, "90 %": lambda row: format_mm(row["p90_m"]), **_SHARES, **others}
+        about = f"{run['grid_poses'][0]} grid poses, symmetry {run['symmetry'][0]}; ADD, mm:"
+        own = ("add", name, encoder)
+        details = tabulate([row for row in lines if (row["metric"], row["object"], row["encoder"]) == own], columns)
+        parts.append(f"## {name}, {encoder}\n\n{about}\n\n{text_tables.format_markdown(details)}")
+    return "\n".join(parts)
+
+
+def _format_time(stage: str, row: Row) -> str:
+    return f"{1e3 * row['median_seconds'][stage]:.1f}"
+
+
+def record_touches(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all results from one touch as JSON values in SI units; `protocol` states the touches, noise and seed."""
+    table = join_runs(runs)
+    return text_tables.build_document(
+        TOUCH_SCHEMA,
+        protocol={"version": PROTOCOL_VERSION, **protocol},
+        runs=[{**run.describe(), **row} for run, row in zip(runs, summarise_touches(table), strict=True)],
+        summary=summarise_lines(table, LINES, METRICS),
+        examples=table.describe(),
+    )
+
+
+def write_touch_tables(
+    folder: Path, runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str
+) -> list[Path]:
+    """Write results.json, results.csv and results.md and return their paths. Raises OutputError."""
+    table, document = join_runs(runs), record_touches(runs, protocol)
+    csv = _format_csv(document["summary"], ("contacts", "without_common"))
+    return text_tables.write_texts(folder, "results", document, csv=csv, md=format_markdown(table, heading))
+
+
+def _format_csv(rows: Sequence[Row], without: Sequence[str]) -> str:
+    kept = ({name: value for name, value in row.items() if name not in without} for row in rows)
+    return text_tables.format_csv([text_tables.show_in_mm(row) for row in kept])
+
+
+# ---- by number of contacts
+
+
+def name_contacts(number: int) -> str:
+    """Return a number of contacts with its noun."""
+    return "1 contact" if number == 1 else f"{number} contacts"
+
+
+def tabulate_contacts(rows: Sequence[Row], cell: Callable[[Row], str] = format_both) -> Table:
+    """Return a row for each object, encoder and line, from `summarise_lines`: the `cell` by number of contacts."""
+    named = [{**row, "contacts": name_contacts(row["contacts"])} for row in rows]
+    return pivot(named, ("object", "encoder", "line"), "contacts", cell)
+
+
+def format_contacts_markdown(table: ExampleTable, heading: str) -> str:
+    """Return all tables of an evaluation by number of contacts as Markdown, lengths in mm."""
+    rows = summarise_lines(table, FUSED_LINES)
+    parts = [f"# {heading}\n", f"{CONTACTS_NOTE}\n", "Medians:\n", text_tables.format_markdown(tabulate_contacts(rows))]
+    line, *lengths = _LENGTHS.items()
+    columns = {
+        **dict([line, ("contacts", lambda row: str(row["contacts"])), *lengths]),
+        **_SHARES,
+        "std / random": lambda row: f"{row['std_normalised']:.3f}",
+        "without common pose": lambda row: str(row["without_common"]),
+    }
+    for (name, encoder), run in table.group("object", "encoder").items():
+        parts.append(f"## {name}, {encoder}\n")
+        parts.append(
+            f"{run['grid_poses'][0]} grid poses, symmetry {run['symmetry'][0]}; "
+            f"mean error of a random pose {format_mm(find_scale_m(run))} mm; "
+            f"{run.count_refused()} presses without a touch were refused\n"
+        )
+        own = [row for row in rows if (row["object"], row["encoder"]) == (name, encoder)]
+        parts.append(text_tables.format_markdown(tabulate(own, columns)))
+    return "\n".join(parts)
+
+
+def record_contacts(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all results by number of contacts as JSON values in SI units; `protocol`: see `record_touches`."""
+    table = join_runs(runs)
+    contacts = np.unique(table["touches"]).tolist()
+    return text_tables.build_document(
+        CONTACTS_SCHEMA,
+        protocol={"version": FUSION_VERSION, "contacts": contacts, **protocol},
+        runs=[{**run.describe(), "random_mean_m": find_scale_m(run.table)} for run in runs],
+        summary=summarise_lines(table, FUSION_LINES),
+        examples=table.describe(),
+    )
+
+
+def write_contact_tables(
+    folder: Path, runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str
+) -> list[Path]:
+    """Write contacts.json, contacts.csv and contacts.md and return their paths. Raises OutputError."""
+    table = join_runs(runs)
+    csv = _format_csv(summarise_lines(table, FUSED_LINES), ("metric",))
+    document, text = record_contacts(runs, protocol), format_contacts_markdown(table, heading)
+    return text_tables.write_texts(folder, "contacts", document, csv=csv, md=text)

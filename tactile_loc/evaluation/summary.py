@@ -1,0 +1,167 @@
+"""The summary of located examples: recall, verdicts, the reliability of verdicts and probabilities, and statistics.
+
+Recall at a threshold is the share of examples with a smaller error. Examples without a pose count as missed. Averages
+of recall over thresholds follow the BOP toolkit (Hodan et al., ECCVW 2020). There, MSSD has ten thresholds, from 5 to
+50 % of the object's diameter.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile_loc.evaluation.table import ExampleTable
+from tactile_loc.locate.result.verdict import REFUSED, Verdict
+
+VERDICTS = (*(verdict.value for verdict in Verdict), REFUSED)
+RIGHT_M = 1e-3  # a pose with a smaller surface distance is right
+WITHIN_M = (0.5e-3, 1e-3, 5e-3)
+CURVE_M = tuple(
+    1e-4 * np.arange(1, 51)
+)  # 0.1, 0.2, ... 5 mm, for the area under the recall curve of the surface distance
+DIAMETER_SHARES = tuple(0.05 * np.arange(1, 11))  # for the average recall of MSSD
+PROBABILITY_BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+SURE = 1.96  # standard deviations of a normal distribution that hold 95 %
+QUANTILES = {"q25": 0.25, "median": 0.5, "q75": 0.75, "p90": 0.9}
+
+
+def summarise_errors(errors_m: NDArray[np.float64], scale_m: float) -> dict[str, float]:
+    """Return the statistics of errors (E,), metres, and of the errors divided by a scale, metres.
+
+    `std` is the standard deviation of the population. `q25`, `q75` and `p90` are quantiles.
+    """
+    found: dict[str, float] = {}
+    for unit, values in (("m", errors_m), ("normalised", errors_m / scale_m)):
+        quantiles = dict(zip(QUANTILES, np.quantile(values, list(QUANTILES.values())), strict=True))
+        statistics = {"mean": values.mean(), "median": quantiles["median"], "std": values.std(), **quantiles}
+        found |= {f"{name}_{unit}": float(value) for name, value in statistics.items()}
+    return found
+
+
+@dataclass(frozen=True)
+class ProbabilityBin:
+    """The examples whose first pose has a probability from `low` to `high`.
+
+    `stated` is their mean probability, `right` the share of right first poses; None without examples.
+    """
+
+    low: float
+    high: float
+    examples: int
+    stated: float | None
+    right: float | None
+
+
+@dataclass(frozen=True)
+class ExampleSummary:
+    """Summary of E examples that are located from the same number of touches. Shares are 0 to 1, lengths in metres.
+
+    `within` and `listed_within` are the recalls of the first pose, and of any listed pose, at WITHIN_M. `auc`, the area
+    under the recall curve, is the mean recall at CURVE_M. `average_recall_mssd` is the mean recall of MSSD at
+    DIAMETER_SHARES of the diameter. `verdicts` counts the examples with each verdict. `certain_right` is the share of
+    certain examples with a right first pose, and `certain_right_range` its 95 % confidence interval (Wilson).
+    `determined_right` and `determined_certain` are the shares of the determined examples with a right first pose, and
+    with the verdict certain. Values of no examples are None.
+    """
+
+    examples: int
+    within: tuple[float, ...]
+    listed_within: tuple[float, ...]
+    auc: float
+    listed_auc: float
+    average_recall_mssd: float
+    listed_average_recall_mssd: float
+    median_m: float | None
+    determined: int
+    determined_right: float | None
+    determined_certain: float | None
+    verdicts: Mapping[str, int]
+    certain_right: float | None
+    certain_right_range: tuple[float, float] | None
+    bins: tuple[ProbabilityBin, ...]
+    median_s: float | None
+    p90_s: float | None
+
+    @classmethod
+    def of(cls, table: ExampleTable, within_m: Sequence[float] = WITHIN_M) -> ExampleSummary:
+        """Summarise at least one example. `within_m`, metres, are the thresholds of the recalls."""
+        certain, right, determined = table["verdict"] == Verdict.CERTAIN.value, find_right(table), table["determined"]
+        timed = table["seconds"][np.isfinite(table["seconds"])]
+        counts = Counter(table["verdict"].tolist())
+        within, listed_within, curve, listed_curve = (
+            measure_recall(table, thresholds_m, line)
+            for thresholds_m in (within_m, CURVE_M)
+            for line in ("first", "listed")
+        )
+        return cls(
+            examples=len(table),
+            within=tuple(within.tolist()),
+            listed_within=tuple(listed_within.tolist()),
+            auc=float(curve.mean()),
+            listed_auc=float(listed_curve.mean()),
+            average_recall_mssd=average_mssd_recall(table, "first"),
+            listed_average_recall_mssd=average_mssd_recall(table, "listed"),
+            median_m=find_median(table.errors_m()),
+            determined=int(determined.sum()),
+            determined_right=_average(right[determined]),
+            determined_certain=_average(certain[determined]),
+            verdicts={verdict: counts[verdict] for verdict in VERDICTS},
+            certain_right=_average(right[certain]),
+            certain_right_range=compute_wilson_range(int(right[certain].sum()), int(certain.sum())),
+            bins=bin_probabilities(table),
+            median_s=find_median(timed),
+            p90_s=float(np.quantile(timed, 0.9)) if len(timed) else None,
+        )
+
+
+def find_right(table: ExampleTable) -> NDArray[np.bool_]:
+    """Return whether the first pose of each example (E,) is right: within RIGHT_M, by surface distance."""
+    return np.asarray(table.errors_m() < RIGHT_M)
+
+
+def measure_recall(table: ExampleTable, thresholds_m: ArrayLike, line: str = "first") -> NDArray[np.float64]:
+    """Return the recall (T,), 0 to 1, of the surface distance of a line's poses at thresholds (T,), metres."""
+    return np.asarray((table.errors_m(line)[:, None] < np.asarray(thresholds_m)).mean(axis=0))
+
+
+def average_mssd_recall(table: ExampleTable, line: str = "first") -> float:
+    """Return the mean recall of MSSD over the thresholds DIAMETER_SHARES of each object's diameter, 0 to 1."""
+    relative = table.errors_m(line, "mssd") / table["diameter_m"]
+    return float((relative[:, None] < np.asarray(DIAMETER_SHARES)).mean())
+
+
+def bin_probabilities(table: ExampleTable) -> tuple[ProbabilityBin, ...]:
+    """Return the reliability of the first pose's probability, in PROBABILITY_BINS."""
+    located = np.isfinite(table["probability"])
+    p, right = table["probability"][located], find_right(table)[located]
+    which = np.clip(np.digitize(p, PROBABILITY_BINS) - 1, 0, len(PROBABILITY_BINS) - 2)
+    return tuple(
+        ProbabilityBin(low, high, int((which == k).sum()), _average(p[which == k]), _average(right[which == k]))
+        for k, (low, high) in enumerate(itertools.pairwise(PROBABILITY_BINS))
+    )
+
+
+def compute_wilson_range(successes: int, trials: int) -> tuple[float, float] | None:
+    """Return the 95 % confidence interval of a share, 0 to 1, by Wilson's score (1927); None without trials."""
+    if not trials:
+        return None
+    share, z2 = successes / trials, SURE**2
+    middle = (share + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = SURE * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
+    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
+
+
+def find_median(values: NDArray[np.float64]) -> float | None:
+    """Return the median of values; None if it is not finite, or without values."""
+    median = float(np.median(values)) if len(values) else np.inf
+    return median if np.isfinite(median) else None
+
+
+def _average(values: NDArray[Any]) -> float | None:
+    return float(values.mean()) if len(values) else None

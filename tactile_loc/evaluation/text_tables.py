@@ -1,0 +1,171 @@
+"""Rows as tables in Markdown, CSV, Parquet and JSON. A row maps names to JSON values, and a name ends with its unit."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError, ResultError
+from tactile_loc.core.runtime.formatting import format_mm
+from tactile_loc.core.runtime.limits import list_values, require_table
+from tactile_loc.io.streams.records import read_versions
+from tactile_loc.store.files import write_atomically, write_text
+
+Row = dict[str, Any]
+Columns = Mapping[str, Callable[[Any], str]]
+"""Headings, each with a function of a row that gives the cell."""
+Table = list[list[str]]
+"""Rows of cells; the first row names the columns."""
+
+
+def tabulate(rows: Iterable[Row], columns: Columns) -> Table:
+    """Return a table with a row for each row, and these columns."""
+    return [list(columns), *([cell(row) for cell in columns.values()] for row in rows)]
+
+
+def pivot(rows: Iterable[Row], names: Sequence[str], column: str, cell: Callable[[Any], str]) -> Table:
+    """Return a table with a row for each combination of the values `names`, and a column for each value of `column`."""
+    heads: dict[str, None] = {}
+    found: dict[tuple[str, ...], dict[str, str]] = {}
+    for row in rows:
+        heads[row[column]] = None
+        found.setdefault(tuple(row[name] for name in names), {})[row[column]] = cell(row)
+    return [
+        [*names, *map(str, heads)],
+        *([*key, *(cells.get(head, "") for head in heads)] for key, cells in found.items()),
+    ]
+
+
+def format_length(length_m: float | None) -> str:
+    """Return a length, metres, in millimetres; "-" if it is None."""
+    return "-" if length_m is None else format_mm(length_m)
+
+
+def format_share(share: float | None) -> str:
+    """Return a share, 0 to 1, as a whole percentage; "-" without a share."""
+    return "-" if share is None else f"{100 * share:.0f} %"
+
+
+def format_markdown(table: Sequence[Sequence[str]]) -> str:
+    """Return a table as Markdown."""
+    header, *rows = table
+    lines = ([cell.replace("|", "\\|") for cell in line] for line in (header, ["---"] * len(header), *rows))
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def format_csv(rows: Sequence[Row]) -> str:
+    """Return rows as CSV with the names of the first row; a missing value is empty, and a truth is true or false."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(rows[0])
+    writer.writerows([_format_value(row[name]) for name in rows[0]] for row in rows)
+    return text.getvalue()
+
+
+def show_in_mm(row: Row) -> Row:
+    """Return the single values of a row with six digits, and lengths in mm instead of metres."""
+    found = {}
+    for name, value in row.items():
+        if isinstance(value, float) and name.endswith("_m"):
+            found[f"{name}m"] = f"{1e3 * value:.6g}"
+        elif not isinstance(value, dict | list | tuple):
+            found[f"{name}m" if name.endswith("_m") else name] = f"{value:.6g}" if isinstance(value, float) else value
+    return found
+
+
+def write_parquet(path: Path, rows: Sequence[Row]) -> Path:
+    """Write rows as Parquet, atomically, and return the path. A value that a row lacks is missing.
+
+    A column has numbers, truths or texts; values of several types become texts. Raises OutputError, and
+    MissingLibraryError without pyarrow.
+    """
+    require_parquet()
+    import pyarrow
+    from pyarrow import parquet
+
+    names = dict.fromkeys(name for row in rows for name in row)
+    columns = {name: _unify([row.get(name) for row in rows]) for name in names}
+
+    def write(temporary: Path) -> None:
+        parquet.write_table(pyarrow.table(columns), temporary)
+
+    try:
+        return write_atomically(path, write)
+    except pyarrow.ArrowException as error:
+        raise OutputError(f"{path} cannot be written ({error})") from error
+
+
+def read_parquet(path: Path, renew: str) -> list[Row]:
+    """Return the rows of a file of `write_parquet`, without missing values.
+
+    Raises MissingLibraryError without pyarrow, and ResultError if the file cannot be read; `renew` says what to do.
+    """
+    require_parquet()
+    from pyarrow import parquet
+
+    try:
+        table = parquet.read_table(path, read_dictionary=require_table(parquet.read_metadata(path)))
+    except (OSError, ValueError) as error:
+        raise ResultError(f"{path} cannot be read ({error}); {renew}") from error
+    return [
+        {
+            name: value
+            for name, value in zip(table.column_names, row, strict=True)
+            if value is not None and value == value
+        }
+        for row in zip(*map(list_values, table.columns), strict=True)
+    ]
+
+
+def require_parquet(what: str = "a table in Parquet", extra: str = "sweep") -> None:
+    """Raise MissingLibraryError without the library that writes Parquet; `what` needs it, `extra` installs it."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise MissingLibraryError(
+            f"{what} needs pyarrow, which is not installed: pip install 'tactile-loc[{extra}]'"
+        ) from error
+
+
+def build_document(schema_version: int, **values: Any) -> dict[str, Any]:
+    """Return a JSON document of `values`, with the current time and the library versions."""
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"schema_version": schema_version, "created": created, "versions": read_versions(), **values}
+
+
+def write_texts(folder: Path, name: str, json: Mapping[str, Any], **texts: str) -> list[Path]:
+    """Write the file `name`.json and each text as `name`.KEYWORD in `folder`; return the paths. Raises OutputError."""
+    every = {"json": format_json(json), **texts}
+    return [write_text(folder / f"{name}.{suffix}", text) for suffix, text in every.items()]
+
+
+def format_json(document: Mapping[str, Any]) -> str:
+    """Return a document as indented JSON text."""
+    return json.dumps(document, indent=1) + "\n"
+
+
+def _format_value(value: Any) -> Any:
+    if value is None or (isinstance(value, str | int | float) and not isinstance(value, bool)):
+        return value
+    return json.dumps(value)
+
+
+def _unify(values: Sequence[Any]) -> Any:
+    """Return the values of a column of one type, with None for missing ones."""
+    import pyarrow
+
+    values = [value.item() if isinstance(value, np.generic) else value for value in values]
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {float, int} and kinds != {int}:
+        return pyarrow.array(values, pyarrow.float64())
+    if kinds <= {bool} or kinds <= {int} or kinds <= {str}:
+        return pyarrow.array(values)
+    texts = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
+    return pyarrow.array(texts, pyarrow.string())

@@ -1,0 +1,166 @@
+"""The tables of the paper's protocol agree in Markdown, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+from message_helpers import missing
+from report_helpers import CONTACTS, make_contact_table, make_touch_table
+
+from tactile_loc.core.runtime.errors import OutputError
+from tactile_loc.core.runtime.formatting import format_mm
+from tactile_loc.evaluation import paper_tables
+from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES
+from tactile_loc.evaluation.protocol import LINES, METRICS
+from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable
+
+PROTOCOL = {"touches": 12, "noise": "mild", "seed": 1}
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[EvaluatedRun]:
+    names = [(name, encoder, i) for i, name in enumerate(("pin", "hook")) for encoder in ("pixel", "other")]
+    return [EvaluatedRun(make_touch_table(*about)) for about in names]
+
+
+@pytest.fixture(scope="module")
+def written(runs, tmp_path_factory) -> dict[str, str]:
+    """The texts of the files, by suffix."""
+    paths = paper_tables.write_touch_tables(tmp_path_factory.mktemp("out"), runs, PROTOCOL, "title")
+    assert [path.name for path in paths] == ["results.json", "results.csv", "results.md"]
+    return {path.suffix: path.read_text() for path in paths}
+
+
+@pytest.fixture(scope="module")
+def document(written) -> dict:
+    return json.loads(written[".json"])
+
+
+def first_row(table: list[list[str]]) -> dict[str, str]:
+    return dict(zip(*table[:2], strict=True))
+
+
+def test_csv_json_and_markdown_agree(runs, written, document):
+    rows = list(csv.DictReader(io.StringIO(written[".csv"])))
+    assert len(rows) == len(runs) * len(LINES) * len(METRICS) == len(document["summary"])
+    sections = {part.split("\n")[0]: part for part in written[".md"].split("\n## ")[1:]}
+    for row, entry in zip(rows, document["summary"], strict=True):
+        assert [row[name] for name in ("object", "encoder", "line", "metric")] == list(entry.values())[:4]
+        for statistic in ("mean", "median", "std", "q25", "q75", "p90"):
+            assert float(row[f"{statistic}_mm"]) == pytest.approx(1e3 * entry[f"{statistic}_m"], rel=1e-5)
+            assert float(row[f"{statistic}_normalised"]) == pytest.approx(entry[f"{statistic}_normalised"], rel=1e-5)
+        if row["metric"] == "add":
+            section = sections[f"{row['object']}, {row['encoder']}"]
+            (line,) = [text for text in section.splitlines() if text.startswith(f"| {row['line']} |")]
+            cells = [cell.strip() for cell in line.split("|")[1:-1]]
+            assert cells[1] == format_mm(1e-3 * float(row["median_mm"]))
+            assert cells[2] == format_mm(1e-3 * float(row["mean_mm"]))
+            assert cells[6] == f"{float(row['median_normalised']):.3f}"
+
+
+def test_statistics_equal_those_of_the_touches(runs, document):
+    read = ExampleTable.read(document["examples"]).group("object", "encoder")["pin", "pixel"]
+    for row in document["summary"][: len(LINES) * len(METRICS)]:
+        errors_m = runs[0].table.errors_m(row["line"], row["metric"])
+        assert (read.errors_m(row["line"], row["metric"]) == errors_m).all()
+        assert row["median_m"] == pytest.approx(np.median(errors_m))
+        scale_m = document["runs"][0]["random_mean_m"][row["metric"]]
+        assert row["p90_normalised"] == pytest.approx(np.quantile(errors_m, 0.9) / scale_m)
+        if row["line"] == "random":
+            assert row["mean_normalised"] == pytest.approx(1)
+
+
+def test_the_summary_has_a_cell_for_each_column(runs, written, document):
+    header, *rows = paper_tables.tabulate_medians(document["summary"])
+    assert [row[:2] for row in rows] == [[run.table["object"][0], run.table["encoder"][0]] for run in runs]
+    assert {len(row) for row in rows} == {len(header)}
+    assert rows[0][2].startswith(f"{format_mm(np.median(runs[0].table.errors_m('best-1', 'add')))} (")
+    assert " | ".join(rows[0]) in written[".md"]
+
+
+def test_posterior_metrics_agree_in_table_and_json(runs, written, document):
+    row = first_row(paper_tables.tabulate_posteriors(document["runs"]))
+    held = (runs[0].table["credible_level"] <= 0.8).mean()
+    assert document["runs"][0]["coverage"][1] == held
+    assert row["in the 80 % set"] == f"{100 * held:.0f} %"
+    assert row["spread, mm"] == format_mm(runs[0].table["spread_m"].mean())
+    assert row["uniform"] == f"{np.log(500):.2f}"
+    assert " | ".join(row.values()) in written[".md"]
+
+
+def test_ambiguous_touches_are_counted_and_left_out(runs, written, document):
+    table, found = runs[0].table, document["runs"][0]
+    clear = table.errors_m("chosen", "add")[table["ambiguity"] >= 1]
+    assert 0 < len(clear) < len(table)
+    assert found["ambiguous"] == pytest.approx(1 - len(clear) / len(table))
+    assert found["unambiguous_median_m"]["chosen"] == np.median(clear)
+    row = first_row(paper_tables.tabulate_ambiguity(document["runs"], document["summary"]))
+    assert row["ambiguous"] == f"{100 * found['ambiguous']:.0f} %"
+    assert row["chosen, all"] == format_mm(np.median(table.errors_m("chosen", "add")))
+    assert row["chosen, unambiguous"] == format_mm(np.median(clear))
+    assert " | ".join(row.values()) in written[".md"]
+
+
+def test_errors_are_grouped_by_contact_area(runs, written, document):
+    shares, errors_m = runs[0].table["contact_share"], runs[0].table.errors_m("chosen", "add")
+    areas = document["runs"][0]["contact_areas"]
+    assert sum(area["touches"] for area in areas) == len(shares)
+    some = errors_m[(shares >= 0.05) & (shares < 0.15)]
+    assert areas[3] == {"from": 0.05, "to": 0.15, "touches": len(some), "median_m": np.median(some),
+                        "within_1_mm": (some < 1e-3).mean()}  # fmt: skip
+    row = first_row(paper_tables.tabulate_areas(document["runs"]))
+    assert row["5 to 15 %"] == f"{format_mm(np.median(some))}, {100 * (some < 1e-3).mean():.0f} % ({len(some)})"
+    assert row["refused"] == "66"
+    assert " | ".join(row.values()) in written[".md"]
+
+
+def test_empty_groups_show_a_dash_and_json_has_no_infinity():
+    table = make_touch_table("pin", "pixel", 0)
+    for ratio, shown in ((0.0, "-"), (np.inf, format_mm(np.median(table.errors_m("chosen", "add"))))):
+        one = EvaluatedRun(ExampleTable.make(table.columns, ambiguity=ratio, contact_share=1.0))
+        found = json.loads(json.dumps(paper_tables.record_touches([one], PROTOCOL), allow_nan=False))
+        assert paper_tables.tabulate_ambiguity(found["runs"], found["summary"])[1][-1] == shown
+        assert (found["runs"][0]["unambiguous_median_m"]["chosen"] is None) == (ratio == 0)
+        *others, last = paper_tables.tabulate_areas(found["runs"])[1][3:]
+        assert set(others) == {"-"}
+        assert last.endswith("(12)")
+
+
+def test_an_unwritable_folder_is_refused(runs, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="`out`"):
+        paper_tables.write_touch_tables(tmp_path / "file", runs, PROTOCOL, "title")
+
+
+# ---- by number of contacts
+
+
+def test_contacts_have_their_medians_in_every_file(tmp_path):
+    tables = [make_contact_table("pin", "pixel", 0), make_contact_table("hook", "pixel", 1)]
+    written = paper_tables.write_contact_tables(tmp_path, list(map(EvaluatedRun, tables)), {"examples": 40}, "Title")
+    assert [path.name for path in written] == ["contacts.json", "contacts.csv", "contacts.md"]
+    table, (document, rows, text) = tables[0], (path.read_text() for path in written)
+    header, best, kinematic, *_ = paper_tables.tabulate_contacts(paper_tables.summarise_lines(table, FUSED_LINES))
+    assert header == ["object", "encoder", "line", "1 contact", "2 contacts", "5 contacts"]
+    assert (best[:3], kinematic[:3]) == (["pin", "pixel", "best-1"], ["pin", "pixel", "kinematic"])
+    scale_m = table.errors_m("random", "add").mean()
+    for cell, n in zip(best[3:], CONTACTS, strict=True):
+        median_m = np.median(table.group("touches")[n,].errors_m("best-1", "add"))
+        assert cell == f"{format_mm(median_m)} ({median_m / scale_m:.3f})"
+    row = next(r for r in csv.DictReader(io.StringIO(rows)) if (r["line"], r["contacts"]) == ("kinematic", "5"))
+    errors_m = table.group("touches")[5,].errors_m("kinematic", "add")
+    for name, value in (("mean", errors_m.mean()), ("median", np.median(errors_m)), ("std", errors_m.std())):
+        assert float(row[f"{name}_mm"]) == pytest.approx(1e3 * value, rel=1e-4)
+        assert float(row[f"{name}_normalised"]) == pytest.approx(value / scale_m, rel=1e-4)
+    assert row["without_common"] == "4"
+    record = json.loads(document)
+    assert record["protocol"]["contacts"] == [1, 2, 5]
+    assert {entry["line"] for entry in record["summary"]} == set(FUSION_LINES)
+    assert record["runs"][0]["refused"] == 80
+    assert text.startswith("# Title\n")
+    assert not missing(text, "common", 80)
+    assert next(line for line in text.splitlines() if line.startswith("| best-1 | 5 |")).endswith("| 4 |")
