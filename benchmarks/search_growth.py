@@ -58,7 +58,7 @@ def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) ->
             seconds.append(time.perf_counter() - start)
         return {
             "size_mm": 1e3 * float(np.linalg.norm(obj.mesh.extents_m)), "directions": directions,
-            "poses": len(localizer.source.places) * localizer.source.count_poses()["turns"], "places_s": places_s,
+            "poses": len(localizer.places) * localizer.source.count_poses()["turns"], "places_s": places_s,
             "touch_s": float(np.median(seconds[1:])),
         }  # fmt: skip
 

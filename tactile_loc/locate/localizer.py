@@ -192,7 +192,8 @@ class Localizer:
     @property
     def places(self) -> Places:
         """The places of the object that are searched. Raises ConfigError if the grid lists poses."""
-        return self.source.places
+        places: Places = self.source.searched.places
+        return places
 
     @property
     def model(self) -> ObjectPoseModel:

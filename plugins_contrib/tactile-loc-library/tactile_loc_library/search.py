@@ -245,7 +245,7 @@ class PartSearch:
         with self.use(k) as part:
             views = part.model.make_views(votes.touches)
             poses = [invert(view.T_sensor_first) @ some for view, some in zip(views, examined.poses, strict=True)]
-            evidence, iou = part.model.source.fit_roughly(views, np.concatenate(poses), REGISTERED)
+            evidence, iou = part.model.source.searched.fit_roughly(views, np.concatenate(poses), REGISTERED)
         return RoughFit(votes.full_evidence - evidence, iou)
 
     def describe(self, k: int) -> DescribedPlaces:

@@ -85,7 +85,9 @@ class SurfaceField:
         run_in_threads(_fill_distances, len(distances_m), points_m, T_object_points, self.triangles, distances_m)
         return distances_m
 
-    def estimate_gaps(self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def estimate_distances(
+        self, points_m: NDArray[np.float64], T_object_points: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Return rough mean distances (K,), metres, to the surface of points (N, 3) moved by T_object_points (K, 4, 4).
 
         Each distance is that of the centre of the point's cell, and at most `reach_m`. This is many times as fast as
@@ -125,8 +127,8 @@ def build_surface_field(mesh: TriangleMesh, cell_m: float | None = None) -> Surf
 
     Equal meshes share one field, for instance two that are loaded from the same file.
     Its cells have the side `cell_m`, metres; CELL_M by default. Cells of twice this side take an eighth of the memory
-    and about a quarter of the time to build. `estimate_gaps` is then less exact. Where parts of a surface are near each
-    other, a point may miss the nearest one.
+    and about a quarter of the time to build. `estimate_distances` is then less exact. Where parts of a surface are near
+    each other, a point may miss the nearest one.
     """
     side_m = CELL_M if cell_m is None else cell_m
     return _fields.get((mesh.digest, side_m), lambda: SurfaceField.of(mesh, cell_m=side_m))

@@ -22,7 +22,7 @@ from tactile_loc.core.runtime.progress import NOTE, Progress, StageTimes, rank
 from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import propose_together, split_modes
-from tactile_loc.locate.probability.probabilities import FitPlan, plan_listed_fit
+from tactile_loc.locate.probability.probabilities import plan_listed_fit
 from tactile_loc.locate.sources.scoring import GridScores, Scores
 from tactile_loc.locate.sources.source import STAGE_VERSIONS, PoseSource, Scored, Values
 from tactile_loc.simulate.contact_poses import make_contact_grid, mark_contact
@@ -262,10 +262,8 @@ def train_encoder(
 class ListedSource(PoseSource):
     """Poses listed by a grid, whose contact shapes are rendered and encoded only once."""
 
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """The stages of the store that the source builds, the first ones first."""
-        return ("grid", "shapes", *self.setup.encoder_stages, "bank")
+    all_stages = ("grid", "shapes", "encoder", "bank")
+    plan_fit = staticmethod(plan_listed_fit)
 
     @cached_property
     def model(self) -> ObjectPoseModel:
@@ -333,17 +331,9 @@ class ListedSource(PoseSource):
         listed = posterior.top(self.setup.config.hypotheses.listed)
         return PoseGrid(posterior.grid.T_sensor_object[listed], posterior.grid.metric), posterior.log_p[listed]
 
-    def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the grid pose nearest to a touch's true pose."""
-        return int(grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0])
-
     def describe(self) -> dict[str, Any]:
         """Return all inputs of the scores except sensor and touch, as JSON values; trains the encoder if necessary."""
         return {"model": self.model.key.digest, "trained": self.trained}
-
-    def plan_fit(self) -> FitPlan:
-        """Return the plan of the simulated touches to which probabilities are fitted."""
-        return plan_listed_fit()
 
     def prepare(self, press_depth_m: float) -> None:
         """Build or load the bank of this press depth, metres, and train the encoder."""

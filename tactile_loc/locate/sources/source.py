@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,11 +64,6 @@ class SourceSetup:
         """Simulate touches with known poses, to fit probabilities."""
         return simulate_touches(self.sampler, self.scene, count, np.random.default_rng(seed), noise=noise)
 
-    @property
-    def encoder_stages(self) -> tuple[str, ...]:
-        """The stage of the store that a trained encoder needs; empty if the encoder needs no training."""
-        return ("encoder",) if self.encoder.capabilities.needs_training else ()
-
     @cached_property
     def metric(self) -> PoseMetric:
         """The distance between two poses of the object."""
@@ -105,15 +100,26 @@ class Scored:
 
 
 class PoseSource(ABC):
-    """Scores poses for touches of one object by one sensor."""
+    """Scores poses for touches of one object by one sensor.
+
+    `all_stages` are the stages of the store that it builds with a trained encoder.
+    """
+
+    all_stages: ClassVar[tuple[str, ...]]
+
+    @property
+    def found_m(self) -> float:
+        """The largest distance, metres, at which a true pose counts as found."""
+        return np.inf
 
     def __init__(self, setup: SourceSetup, new_matcher: NewMatcher) -> None:
         self.setup, self.new_matcher = setup, new_matcher
 
     @property
-    @abstractmethod
     def stages(self) -> tuple[str, ...]:
         """The stages of the store that the source builds, the first ones first."""
+        trains = self.setup.encoder.capabilities.needs_training
+        return tuple(stage for stage in self.all_stages if trains or stage != "encoder")
 
     @property
     @abstractmethod
@@ -174,12 +180,14 @@ class PoseSource(ABC):
         """Return the modes worth refining against `trusted` touches, given their coarse mean imprint IoUs (K,)."""
         return modes
 
-    @abstractmethod
     def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
         """Return the index of the grid pose nearest to a touch's true pose; -1 if the search found none near it."""
+        (distance_m,), (index,) = grid.nearest(np.asarray(touch.T_sensor_object)[None])
+        return -1 if distance_m > self.found_m else int(index)
 
+    @staticmethod
     @abstractmethod
-    def plan_fit(self) -> FitPlan:
+    def plan_fit() -> FitPlan:
         """Return the plan of the simulated touches to which probabilities are fitted."""
 
     @abstractmethod
@@ -199,9 +207,9 @@ class PoseSource(ABC):
             "bank": STAGE_VERSIONS["bank"],
         }
 
-    @abstractmethod
     def prepare(self, press_depth_m: float) -> None:
         """Build or load what a touch of this press depth, metres, needs."""
+        _ = self.trained
 
     @abstractmethod
     def count_poses(self) -> dict[str, Any]:
@@ -213,8 +221,8 @@ class PoseSource(ABC):
         return 0
 
     @property
-    def places(self) -> Places:
-        """The places that are searched. Raises ConfigError if poses are listed."""
+    def searched(self) -> Any:
+        """The search of places. Raises ConfigError if poses are listed."""
         raise self._refuse("lists the poses of {}, but this needs a search of its places; choose `grid` whole")
 
     @property
@@ -223,11 +231,6 @@ class PoseSource(ABC):
         raise self._refuse(
             "does not list the poses of {}, which this command or encoder needs; choose `grid` face or `grid` hopf"
         )
-
-    def fit_roughly(self, views: Sequence[View], poses: Poses, count: int) -> tuple[float, float]:
-        """Fit the object roughly to touches, as `WholeObjectSource` does. Raises ConfigError if poses are listed."""
-        _ = self.places
-        raise NotImplementedError
 
     def _refuse(self, reason: str) -> ConfigError:
         return ConfigError(f"the grid {self.setup.config.grid.name!r} {reason.format(self.setup.scene.object.name)}")

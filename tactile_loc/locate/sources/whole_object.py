@@ -27,7 +27,7 @@ from tactile_loc.core.sensing.clouds import make_contact_cloud, make_outline_clo
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import DOUBT, choose_best_apart, compare_where_seen, compute_imprint_ious
-from tactile_loc.locate.probability.probabilities import AnyScalings, FitPlan, plan_search_fit
+from tactile_loc.locate.probability.probabilities import AnyScalings, plan_search_fit
 from tactile_loc.locate.sources.place_search import MOST_UNEXPLAINED, PlaceSearch
 from tactile_loc.locate.sources.scoring import Scores
 from tactile_loc.locate.sources.source import PoseSource, Rated, Scored, Values, require_one_kind
@@ -49,10 +49,8 @@ PROMISING, UNPROMISING = 0.8, 0.6
 class WholeObjectSource(PoseSource):
     """Poses from a search of all places of the object."""
 
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """The stages of the store that the source builds, the first ones first."""
-        return ("places", *self.setup.encoder_stages)
+    all_stages = ("places", "encoder")
+    plan_fit = staticmethod(plan_search_fit)
 
     @cached_property
     def banks(self) -> PlaceBanks:
@@ -130,22 +128,19 @@ class WholeObjectSource(PoseSource):
             ious = compute_imprint_ious(trusted, poses, options.image_px, self.setup.start_radius_m).mean(axis=1)
         return modes if ious.max() >= UNPROMISING else [modes[int(ious.argmax())]]
 
-    def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the grid pose nearest to a touch's true pose; -1 if the search found none near it."""
-        (distance_m,), (index,) = grid.nearest(np.asarray(touch.T_sensor_object)[None])
-        return -1 if distance_m > self.place_search.found_m else int(index)
-
-    def plan_fit(self) -> FitPlan:
-        """Return the plan of the simulated touches to which probabilities are fitted."""
-        return plan_search_fit()
+    @property
+    def found_m(self) -> float:
+        """The largest distance, metres, at which a true pose counts as found."""
+        return self.place_search.found_m
 
     def describe(self) -> dict[str, Any]:
         """Return all inputs of the scores except sensor and touch, as JSON values; trains the encoder if necessary."""
         return {**self.place_search.describe(), "trained": self.trained}
 
-    def prepare(self, press_depth_m: float) -> None:
-        """Find or load the places, and train the encoder."""
-        _ = self.trained
+    @property
+    def searched(self) -> WholeObjectSource:
+        """The search of places: this source."""
+        return self
 
     def count_poses(self) -> dict[str, Any]:
         """Return the number of places, and the turns in which each is compared with a touch."""
@@ -327,7 +322,7 @@ def estimate_surface_distances(views: Sequence[View], poses: Poses, cell_m: floa
     for view in views:
         pause_before(len(poses) / MEASURED)
         points_m = _list_few_points(view.touch)
-        distances_m += field.estimate_gaps(points_m, seen_from @ invert(view.T_sensor_first))
+        distances_m += field.estimate_distances(points_m, seen_from @ invert(view.T_sensor_first))
     return distances_m
 
 

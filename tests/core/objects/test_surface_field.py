@@ -80,12 +80,12 @@ def test_estimated_gaps_differ_from_the_gaps_by_less_than_a_cell():
     moves = np.tile(np.eye(4), (4, 1, 1))
     moves[:, 2, 3] = [0.0, 1e-3, 3e-3, 0.1]
     exact = np.minimum(field.measure_distances(points, moves), field.reach_m).mean(axis=1)
-    rough = field.estimate_gaps(points, moves)
+    rough = field.estimate_distances(points, moves)
     assert exact[0] < 1e-9
     assert exact[3] == pytest.approx(field.reach_m)
     assert rough[3] == pytest.approx(field.reach_m)
     np.testing.assert_allclose(rough, exact, atol=0.5 * np.sqrt(3) * 5e-4)
-    assert field.estimate_gaps(np.zeros((0, 3)), moves).tolist() == [0.0] * 4
+    assert field.estimate_distances(np.zeros((0, 3)), moves).tolist() == [0.0] * 4
 
 
 def test_the_closest_point_is_right_in_every_region_of_a_triangle():

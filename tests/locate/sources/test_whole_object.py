@@ -93,10 +93,10 @@ def test_places_are_built_once(tmp_path, monkeypatch):
 
     few = {**WHOLE, "grid": {"name": "whole", "directions": 100}}
     first = Localizer.create("pin", store=StageStore(tmp_path), **few)
-    found = first.source.places
+    found = first.places
     monkeypatch.setattr(WholeGrid, "places", None)  # the sampler is not used again
     again = Localizer.create("pin", store=StageStore(tmp_path), **{**few, "sensor": "gelslim"})
-    assert np.array_equal(found.patches, again.source.places.patches)
+    assert np.array_equal(found.patches, again.places.patches)
     assert again.source.place_search.key.digest == first.source.place_search.key.digest
 
 
