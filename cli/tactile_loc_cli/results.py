@@ -15,10 +15,10 @@ from tactile_loc_cli.console import format_count, say, say_table, write_flags
 if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
+    from tactile_loc.locate.identify import Identification, KnownObject
     from tactile_loc.locate.result.hypothesis import Hypothesis
     from tactile_loc.locate.result.localization import Localization
     from tactile_loc.locate.touch_files import LocatedFile
-    from tactile_loc.planning.identification_files import IdentificationRecord, KnownObjectRecord
     from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 
 IMPRINT = "imprint IoU %"
@@ -207,25 +207,26 @@ def _list_rated_cells(one: RatedApproach) -> list[str]:
     return [one.approach.name, *numbers, travel, f"{one.cost:g}", f"{one.worth:.2f}"]
 
 
-def say_identification(record: IdentificationRecord, next_touch: NextTouch | None) -> None:
-    """Write the verdict, a table of the located objects, the most probable first, and the next touch, if any."""
-    from tactile_loc.planning.identification_files import NONE_OF_THESE
+def say_identification(found: Identification, touches: int, next_touch: NextTouch | None) -> None:
+    """Write the verdict, a table of the located objects, the most probable first, and the next touch, if any.
+
+    `touches` is the number of touches that were identified.
+    """
+    from tactile_loc.planning.identification_files import NONE_OF_THESE, describe_identification
 
     header = ["object", "prob. %", "misfit nats", IMPRINT, *POSE]
-    located = [one for one in record.objects if one.poses]
-    none = [NONE_OF_THESE, f"{100 * record.none:.1f}"]
-    say(f"{record.summary()} ({format_count(len(record.touches), 'touch')})")
-    say_table([header, *map(_list_known_cells, located), none], left=1, gap=2)
-    if others := len(record.objects) - len(located):
+    rows = [_list_known_cells(one, one.found) for one in found.objects if one.found]
+    say(f"{describe_identification(found)} ({format_count(touches, 'touch')})")
+    say_table([header, *rows, [NONE_OF_THESE, f"{100 * found.none:.1f}"]], left=1, gap=2)
+    if others := len(found.objects) - len(rows):
         say(f"not located, because others explain the touches better or no pose explains them: {others} more")
     if next_touch is not None:
         say_next_touch(next_touch, NEXT_TOUCHES)
 
 
-def _list_known_cells(one: KnownObjectRecord) -> list[str]:
-    best = one.poses[0]
-    numbers = [f"{100 * one.probability:.1f}", f"{one.misfit_nats or 0.0:.1f}", f"{100 * best.imprint_iou:.0f}"]
-    return [one.name, *numbers, *format_pose(np.array(best.T_sensor_object))]
+def _list_known_cells(one: KnownObject, found: Localization) -> list[str]:
+    numbers = [f"{100 * one.probability:.1f}", f"{one.misfit:.1f}", f"{100 * found.best.imprint_iou:.0f}"]
+    return [one.name, *numbers, *format_pose(found.best.T_sensor_object)]
 
 
 def say_located(files: Sequence[LocatedFile]) -> None:

@@ -1,104 +1,90 @@
-"""`identification.json`, the result of an identification. SI units."""
+"""`identification.json`, the result of an identification, in SI units, and the same result in words."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from pydantic import Field
-
 from tactile_loc.core.runtime.formatting import format_percent
-from tactile_loc.io.streams.records import Record
-from tactile_loc.io.toml import Matrix
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.json_keys import Key, Keys, write_keys
 from tactile_loc.locate.identify import LEAST_REPORTED, Identification, KnownObject
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.planning.next_touch import NextTouch
 from tactile_loc.planning.next_touch_files import write_next_touch
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 2  # it increases if a key is removed or gets another meaning
 NONE_OF_THESE = "none of these"
 AS_PROBABLE = 0.7  # times the probability of the first object: such an object explains the touches as well
 
+IDENTIFICATION: Keys = {
+    "schema_version": Key("integer", "version of this format"),
+    "touches": Key("texts", "the touches that were identified"),
+    "verdict": Key("text", "how far to trust the first object"),
+    "identified": Key("text or null", "the object that they are of; null: none of these is more probable"),
+    "none": Key("number", "probability that they are of none of these objects, 0 to 1"),
+    "objects": Key("list", "the objects, the most probable first"),
+    "next_touch": Key("object or null", "the rated approaches, as in next_touch.json; null: none was asked for"),
+}
 
-class PoseRecord(Record):
-    """A pose of an object, assuming that this object was touched."""
+OBJECT: Keys = {
+    "name": Key("text", "the object's name"),
+    "probability": Key("number", "that the touches are of this object, 0 to 1"),
+    "misfit_nats": Key(
+        "number or null",
+        "the evidence that its best pose lacks to explain the touches fully; null: it was not located",
+    ),
+    "poses": Key("list", "its possible poses, the most probable first"),
+}
 
-    probability: float | None = Field(
-        description="of this pose, given this object, 0 to 1; null: the object is too improbable to compute it"
-    )
-    T_sensor_object: Matrix = Field(description="(4, 4), m, in the first touch's sensor frame")
-    imprint_iou: float = Field(description="how well it explains the touches, 0 to 1")
-
-
-class KnownObjectRecord(Record):
-    """One of the objects that may have been touched."""
-
-    name: str = Field(description="the object's name")
-    probability: float = Field(description="that the touches are of this object, 0 to 1")
-    misfit_nats: float | None = Field(
-        description="the evidence that its best pose lacks to explain the touches fully; null: it was not located",
-    )
-    poses: list[PoseRecord] = Field(description="its possible poses, the most probable first")
-
-
-class IdentificationRecord(Record):
-    """The whole file."""
-
-    schema_version: int = Field(
-        default=SCHEMA_VERSION, description="raised when a key is removed or changes its meaning"
-    )
-    touches: list[str] = Field(description="the touches that were identified")
-    verdict: Verdict = Field(description="how far to trust the first object")
-    identified: str | None = Field(description="the object that they are of; null: none of these is more probable")
-    none: float = Field(description="probability that they are of none of these objects, 0 to 1")
-    objects: list[KnownObjectRecord] = Field(description="the objects, the most probable first")
-    next_touch: dict[str, Any] | None = Field(
-        default=None, description="the rated approaches, as in next_touch.json; null: none was asked for"
-    )
-
-    @property
-    def inseparable(self) -> list[str]:
-        """The names of the objects that explain the touches as well as the first one; empty if there are none.
-
-        It includes the first object. Each has at least AS_PROBABLE times its probability.
-        """
-        least = max(LEAST_REPORTED, AS_PROBABLE * self.objects[0].probability)
-        names = [one.name for one in self.objects if one.probability >= least]
-        return names if len(names) > 1 else []
-
-    def summary(self) -> str:
-        """Return the verdict and the probable objects, such as "ambiguous: hook 39 %, head 31 %"."""
-        shares = [(NONE_OF_THESE, self.none), *((one.name, one.probability) for one in self.objects)]
-        first, *others = sorted(shares, key=lambda share: -share[1])
-        named = ", ".join(f"{name} {format_percent(p)}" for name, p in (first, *others) if p >= LEAST_REPORTED)
-        why = "; the best pose does not explain the touches" if self.verdict == Verdict.POOR_FIT else ""
-        if self.inseparable and self.identified is not None:
-            why += f"; these touches cannot tell {' and '.join(self.inseparable)} apart"
-        return f"{self.verdict}: {named or 'no object is probable'}{why}"
+POSE: Keys = {
+    "probability": Key(
+        "number or null",
+        "of this pose, given this object, 0 to 1; null: the object is too improbable to compute it",
+    ),
+    "T_sensor_object": Key("4 x 4 numbers", "m, in the first touch's sensor frame"),
+    "imprint_iou": Key("number", "how well it explains the touches, 0 to 1"),
+}
 
 
-def make_identification_record(
-    found: Identification, touches: list[str], next_touch: NextTouch | None = None
-) -> IdentificationRecord:
-    """Make the record of an identification; `touches` are the touches' names."""
-    return IdentificationRecord(
-        touches=touches,
-        verdict=found.verdict,
+def write_identification(
+    found: Identification, touches: Sequence[Touch], next_touch: NextTouch | None = None
+) -> dict[str, Any]:
+    """Return the document of an identification of touches, and of the next touch, if it was asked for."""
+    return write_keys(
+        IDENTIFICATION,
+        found,
+        schema_version=SCHEMA_VERSION,
+        touches=[touch.name for touch in touches],
         identified=None if found.best is None else found.best.name,
-        none=found.none,
+        objects=[_write_object(one) for one in found.objects],
         next_touch=None if next_touch is None else write_next_touch(next_touch),
-        objects=[_make_object_record(one) for one in found.objects],
     )
 
 
-def _make_object_record(one: KnownObject) -> KnownObjectRecord:
-    poses = [
-        PoseRecord(
-            probability=h.probability if one.fitted else None,
-            T_sensor_object=h.T_sensor_object.tolist(),
-            imprint_iou=h.imprint_iou,
-        )
-        for h in (one.found.hypotheses if one.found else ())
-    ]
-    misfit = one.misfit if np.isfinite(one.misfit) else None
-    return KnownObjectRecord(name=one.name, probability=one.probability, misfit_nats=misfit, poses=poses)
+def _write_object(one: KnownObject) -> dict[str, Any]:
+    hypotheses = one.found.hypotheses if one.found else ()
+    poses = [write_keys(POSE, h, probability=h.probability if one.fitted else None) for h in hypotheses]
+    return write_keys(OBJECT, one, misfit_nats=one.misfit, poses=poses)
+
+
+def list_inseparable(found: Identification) -> list[str]:
+    """Return the names of the objects that explain the touches as well as the first one; empty if there are none.
+
+    It includes the first object. Each has at least AS_PROBABLE times its probability.
+    """
+    least = max(LEAST_REPORTED, AS_PROBABLE * found.objects[0].probability)
+    names = [one.name for one in found.objects if one.probability >= least]
+    return names if len(names) > 1 else []
+
+
+def describe_identification(found: Identification) -> str:
+    """Return the verdict and the probable objects, such as "ambiguous: hook 39 %, head 31 %"."""
+    shares = [(NONE_OF_THESE, found.none), *((one.name, one.probability) for one in found.objects)]
+    first, *others = sorted(shares, key=lambda share: -share[1])
+    named = ", ".join(f"{name} {format_percent(p)}" for name, p in (first, *others) if p >= LEAST_REPORTED)
+    why = "; the best pose does not explain the touches" if found.verdict is Verdict.POOR_FIT else ""
+    inseparable = list_inseparable(found)
+    if inseparable and found.best is not None:
+        why += f"; these touches cannot tell {' and '.join(inseparable)} apart"
+    return f"{found.verdict}: {named or 'no object is probable'}{why}"

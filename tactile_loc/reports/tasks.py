@@ -12,9 +12,11 @@ from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
+from tactile_loc.locate.identify import Identification, KnownObject
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import explain_verdict, name_verdict
 from tactile_loc.locate.touch_files import LocatedFile
-from tactile_loc.planning.identification_files import NONE_OF_THESE, IdentificationRecord, KnownObjectRecord
+from tactile_loc.planning.identification_files import NONE_OF_THESE, describe_identification
 from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import draw_shape, encode_gallery
@@ -23,26 +25,26 @@ POSE = ("x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
 DEPTHS = "Dark: pressed deepest. Touches are drawn as the sensor sees them, x right and y down."
 
 
-def make_identification_page(record: IdentificationRecord, touches: Sequence[Touch]) -> Page:
+def make_identification_page(found: Identification, touches: Sequence[Touch]) -> Page:
     """Return the page of an identification of touches. Its title is the verdict."""
-    located = [one for one in record.objects if one.poses]
-    others = len(record.objects) - len(located)
+    located, first = [_list_known_cells(one, one.found) for one in found.objects if one.found], found.objects[0]
+    others = len(found.objects) - len(located)
     note = "Poses are in the first touch's sensor frame, if this object was touched."
     note += f" {others} more objects explain the touches worse and were not located." if others else ""
-    none = [NONE_OF_THESE, f"{100 * record.none:.1f}", *[""] * 7]
     numbers = [
-        ("verdict", str(record.verdict), "how far to trust the first object"),
-        ("first object", record.objects[0].name, f"probability {format_percent(record.objects[0].probability)}"),
-        (NONE_OF_THESE, format_percent(record.none), "probability that none of the objects was touched"),
+        ("verdict", str(found.verdict), "how far to trust the first object"),
+        ("first object", first.name, f"probability {format_percent(first.probability)}"),
+        (NONE_OF_THESE, format_percent(found.none), "probability that none of the objects was touched"),
     ]
-    rows = [*map(_list_known_cells, located), none]
+    rows = [*located, [NONE_OF_THESE, f"{100 * found.none:.1f}", *[""] * 7]]
     header = ("object", "prob. (%)", "misfit (nats)", "imprint IoU (%)", *POSE)
     sections = [
         Section("summary", "", {"numbers": numbers, "notes": []}),
         Section("rows", "Objects", {"header": header, "rows": rows, "left": 1, "note": note, "label": "objects"}),
         Section("pictures", "Contact shapes", _show({touch.name: touch for touch in touches}, len(touches))),
     ]
-    return _make_page(record.summary(), f"touches: {', '.join(record.touches)}", sections)
+    names = ", ".join(touch.name for touch in touches)
+    return _make_page(describe_identification(found), f"touches: {names}", sections)
 
 
 def make_next_touch_page(found: NextTouch, picture: Path) -> Page:
@@ -130,10 +132,9 @@ def _explain(verdict: str, found: Sequence[LocatedFile]) -> str:
     return next(explain_verdict(one.verdict) for one in found if name_verdict(one.verdict) == verdict)
 
 
-def _list_known_cells(one: KnownObjectRecord) -> list[str]:
-    best = one.poses[0]
-    numbers = [f"{100 * one.probability:.1f}", f"{one.misfit_nats or 0.0:.1f}", f"{100 * best.imprint_iou:.0f}"]
-    return [one.name, *numbers, *format_pose(np.array(best.T_sensor_object))]
+def _list_known_cells(one: KnownObject, found: Localization) -> list[str]:
+    numbers = [f"{100 * one.probability:.1f}", f"{one.misfit:.1f}", f"{100 * found.best.imprint_iou:.0f}"]
+    return [one.name, *numbers, *format_pose(found.best.T_sensor_object)]
 
 
 def _list_rated_cells(one: RatedApproach) -> list[str]:

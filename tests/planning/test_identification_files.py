@@ -1,4 +1,4 @@
-"""The record of an identification states the probabilities of poses only if they were fitted to the object."""
+"""The document of an identification states the probabilities of poses only if they were fitted to the object."""
 
 from __future__ import annotations
 
@@ -6,38 +6,47 @@ from dataclasses import replace
 
 import numpy as np
 
+from tactile_loc.io.json_keys import read_keys
 from tactile_loc.locate.identify import Identification, KnownObject
 from tactile_loc.planning.approaches import draw_approaches_to_modes
-from tactile_loc.planning.identification_files import IdentificationRecord, make_identification_record
+from tactile_loc.planning.identification_files import (
+    IDENTIFICATION,
+    OBJECT,
+    POSE,
+    describe_identification,
+    list_inseparable,
+    write_identification,
+)
 from tactile_loc.planning.next_touch import choose_next_touch
+from tactile_loc.planning.next_touch_files import NEXT_TOUCH, RATED
 from tactile_loc.tracking.pose_modes import PoseModes
 
 
 def test_probabilities_that_were_not_fitted_are_left_out(localization):
     probable = KnownObject("hook", 0.9, 0.1, localization, fitted=True)
     others = [replace(probable, name="pin", probability=0.01, fitted=False), KnownObject("nut", 0.0)]
-    record = make_identification_record(Identification((probable, *others), 0.09), ["touch"])
-    hook, pin, nut = record.objects
-    assert [pose.probability for pose in hook.poses] == [h.probability for h in localization.hypotheses]
-    assert len(pin.poses) == len(hook.poses)
-    assert {pose.probability for pose in pin.poses} == {None}
-    assert nut.poses == []
-    assert (hook.misfit_nats, nut.misfit_nats) == (0.1, None)
-    assert IdentificationRecord.model_validate_json(record.model_dump_json()) == record
+    document = write_identification(Identification((probable, *others), 0.09), [localization.touch])
+    hook, pin, nut = document["objects"]
+    assert [pose["probability"] for pose in hook["poses"]] == [h.probability for h in localization.hypotheses]
+    assert len(pin["poses"]) == len(hook["poses"])
+    assert {pose["probability"] for pose in pin["poses"]} == {None}
+    assert nut["poses"] == []
+    assert (hook["misfit_nats"], nut["misfit_nats"]) == (0.1, None)
+    parts = ((IDENTIFICATION, document), (OBJECT, nut), *((POSE, pose) for pose in pin["poses"]))
+    assert all(read_keys(keys, part) == part for keys, part in parts)
 
 
-def test_the_next_touch_is_recorded_for_all_probable_objects(localization):
+def test_the_next_touch_is_written_for_all_probable_objects(localization):
     hook, pin = (KnownObject(name, p, 0.1, localization, fitted=True) for name, p in (("hook", 0.6), ("pin", 0.3)))
     said = Identification((hook, pin, replace(pin, name="nut", probability=0.04)), 0.06)
     modes = PoseModes.of_objects(said)
     assert modes is not None
     assert len(modes.objects) == 2 * len(PoseModes.of(localization).probabilities)
     assert PoseModes.of_objects(Identification((replace(hook, probability=0.01),), 0.99)) is None
-    approaches = draw_approaches_to_modes(modes, 5, np.random.default_rng(0))
-    record = make_identification_record(said, ["touch"], choose_next_touch(modes, approaches))
-    assert record.next_touch is not None
-    assert len(record.next_touch["ranked"]) == 5
-    assert IdentificationRecord.model_validate_json(record.model_dump_json()) == record
+    chosen = choose_next_touch(modes, draw_approaches_to_modes(modes, 5, np.random.default_rng(0)))
+    written = write_identification(said, [localization.touch], chosen)["next_touch"]
+    assert read_keys(NEXT_TOUCH, written) == written
+    assert [read_keys(RATED, one)["rank"] for one in written["ranked"]] == [1, 2, 3, 4, 5]
 
 
 def test_objects_that_explain_the_touches_as_well_are_named(localization):
@@ -45,9 +54,8 @@ def test_objects_that_explain_the_touches_as_well_are_named(localization):
         KnownObject(name, p, 0.1, localization, fitted=True)
         for name, p in (("hook", 0.42), ("pin", 0.38), ("nut", 0.15))
     )
-    close = make_identification_record(Identification((first, second, third), 0.05), ["touch"])
-    assert close.inseparable == ["hook", "pin"]
-    assert "hook and pin" in close.summary()
-    clear = make_identification_record(Identification((first, third), 0.05), ["touch"])
-    assert clear.inseparable == []
-    assert "apart" not in clear.summary()
+    close, clear = Identification((first, second, third), 0.05), Identification((first, third), 0.05)
+    assert list_inseparable(close) == ["hook", "pin"]
+    assert "hook and pin" in describe_identification(close)
+    assert list_inseparable(clear) == []
+    assert "apart" not in describe_identification(clear)

@@ -14,9 +14,9 @@ from report_helpers import UNFRIENDLY, Elements
 
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
+from tactile_loc.locate.identify import Identification, KnownObject
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.touch_files import LocatedFile
-from tactile_loc.planning.identification_files import IdentificationRecord, KnownObjectRecord, PoseRecord
 from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.planning.next_touch_files import write_next_touch
 from tactile_loc.reports.page import Page, render
@@ -53,29 +53,24 @@ def list_cells(page: Page) -> list[str]:
     return re.findall(r"<td[^>]*>([^<]*)</td>", render(page))
 
 
-def make_identification(touch, names: list[str]) -> Page:
-    pose = PoseRecord(probability=1.0, T_sensor_object=EYE, imprint_iou=0.97)
-    objects = [
-        KnownObjectRecord(name=name, probability=p, misfit_nats=0.5, poses=[pose])
-        for name, p in zip(names, (0.39, 0.31), strict=True)
-    ]
-    record = IdentificationRecord(
-        touches=[touch.name], verdict=Verdict.AMBIGUOUS, identified=names[0], none=0.3, objects=objects
-    )
-    return make_identification_page(record, [touch])
+def make_identification(localization, names: list[str]) -> Page:
+    objects = [KnownObject(name, p, 0.5, localization) for name, p in zip(names, (0.39, 0.31), strict=True)]
+    return make_identification_page(Identification(tuple(objects), 0.3), [localization.touch])
 
 
 def test_an_identification_has_its_verdict_as_title(localization):
-    page = make_identification(localization.touch, ["hook", "head"])
+    page = make_identification(localization, ["hook", "head"])
     assert page.title.startswith("ambiguous: hook 39 %, head 31 %")
     found = read(page)
-    assert {"hook", "head", "none of these", "39.0", "97"} <= set(list_cells(page))
+    iou = f"{100 * localization.best.imprint_iou:.0f}"
+    assert {"hook", "head", "none of these", "39.0", iou} <= set(list_cells(page))
     assert len(found.named("img")) == 1
 
 
 def test_names_are_shown_as_text(localization):
     touch = dataclasses.replace(localization.touch, name=UNFRIENDLY)
-    assert UNFRIENDLY in read(make_identification(touch, [UNFRIENDLY, "head"])).text
+    found = dataclasses.replace(localization, touch=touch)
+    assert UNFRIENDLY in read(make_identification(found, [UNFRIENDLY, "head"])).text
 
 
 def test_a_folder_counts_its_verdicts(localization):

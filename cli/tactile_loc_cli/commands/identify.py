@@ -75,26 +75,26 @@ class IdentificationOutput:
         Raises Finding if the verdict is not the required one, or if "none of these" is most probable.
         """
         from tactile_loc.io.approach_files import write_approaches
-        from tactile_loc.io.streams.records import write_record
-        from tactile_loc.planning.identification_files import make_identification_record
+        from tactile_loc.planning.identification_files import write_identification
+        from tactile_loc.store.files import write_json
         from tactile_loc_cli.results import say_identification
 
         approaches, chosen = self._rate_approaches(found, touches)
-        record = make_identification_record(found, [one.name for one in touches], chosen)
-        say_identification(record, chosen)
-        files = [write_record(self.out / "identification.json", record)]
+        document = write_identification(found, touches, chosen)
+        say_identification(found, len(touches), chosen)
+        files = [write_json(self.out / "identification.json", document)]
         if self.around is not None and approaches:
             files.append(write_approaches(self.out / DRAWN, approaches, touches[0].T_base_sensor is not None))
         if self.report:
             from tactile_loc.reports.report import DEFAULT_NAME, write_page
             from tactile_loc.reports.tasks import make_identification_page
 
-            files.append(write_page(make_identification_page(record, touches), self.out / DEFAULT_NAME))
+            files.append(write_page(make_identification_page(found, touches), self.out / DEFAULT_NAME))
         written = say_written(files)
-        result = {**record.model_dump(mode="json"), "written": written}
+        result = {**document, "written": written}
         if self.require is not None and result["verdict"] != self.require:
             raise Finding(NOT_AS_REQUIRED, result)
-        if record.identified is None:
+        if found.best is None:
             raise Finding(NONE_OF_THESE, result)
         return result
 

@@ -1,4 +1,4 @@
-"""Shared parts of the JSON documents of results: frozen records, reading, writing, and library versions."""
+"""Shared parts of the JSON documents of results: reading, hashes, and versions of libraries."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict
 from pydantic_core import PydanticSerializationError, to_json
 
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.store.files import read_json, write_text
+from tactile_loc.store.files import read_json
 
 LIBRARIES = (
     "faiss-cpu",
@@ -31,17 +30,6 @@ LIBRARIES = (
 )
 
 
-class Record(BaseModel):
-    """A part of a document; unknown keys are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-def write_record(path: str | Path, record: Record) -> Path:
-    """Write a record as JSON, atomically, and return the path. Raises OutputError if that fails."""
-    return write_text(Path(path), format_record(record, indent=1) + "\n")
-
-
 def hash_document(document: Mapping[str, Any]) -> str:
     """Return the SHA-256 (hex) of a JSON document, which does not depend on spaces and line breaks."""
     try:
@@ -49,14 +37,6 @@ def hash_document(document: Mapping[str, Any]) -> str:
     except PydanticSerializationError:  # which refuses lone surrogates
         text = json.dumps(document).encode()
     return hashlib.sha256(text).hexdigest()
-
-
-def format_record(record: Record, indent: int | None = None, exclude_unset: bool = False) -> str:
-    """Return a record as JSON. A byte of a file's name that is not UTF-8 is written as Python's json module does."""
-    try:
-        return record.model_dump_json(indent=indent, exclude_unset=exclude_unset)
-    except PydanticSerializationError:  # which refuses lone surrogates
-        return json.dumps(record.model_dump(mode="json", exclude_unset=exclude_unset), indent=indent)
 
 
 def read_document(path: Path) -> dict[str, Any]:
