@@ -214,11 +214,6 @@ def test_random_poses_cover_the_grid_and_differ_from_it(make_scene, pinhole, box
     assert len(np.unique(yaw_rad)) == 300
 
 
-def test_equal_generators_give_equal_random_poses(make_scene, pinhole, box):
-    scene = make_scene(box, pinhole)
-    assert np.array_equal(*(draw_contact_poses(face(5.0), scene, 9, np.random.default_rng(3)) for _ in range(2)))
-
-
 @pytest.mark.parametrize("spacing_mm", [0.0, -1.0, float("nan")])
 def test_an_impossible_spacing_is_refused(make_scene, pinhole, box, spacing_mm):
     sampler = FaceGrid(FaceGrid.Options.model_construct(spacing_mm=spacing_mm, face="+z", tilt_deg=0.0, tilt_steps=3))

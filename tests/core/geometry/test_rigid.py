@@ -146,12 +146,6 @@ def test_random_rotations_are_uniform():
         assert (angle < theta).mean() == pytest.approx((theta - np.sin(theta)) / np.pi, abs=0.01)
 
 
-def test_equal_generators_give_equal_rotations():
-    same = [draw_rotations(3, np.random.default_rng(4)) for _ in range(2)]
-    assert np.array_equal(*same)
-    assert not np.allclose(same[0], draw_rotations(3, np.random.default_rng(5)))
-
-
 def spoilt(T: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
     T = T.copy()
     T[1, row, column] = value

@@ -75,10 +75,6 @@ def test_samples_fill_a_triangle_evenly():
     np.testing.assert_allclose(quarters, 0.25, atol=0.01)
 
 
-def test_equal_generators_give_equal_samples(box_mesh):
-    assert np.array_equal(*(box_mesh.sample(9, np.random.default_rng(2)) for _ in range(2)))
-
-
 def test_the_digest_changes_only_with_the_surface(box_mesh):
     same = TriangleMesh(np.asfortranarray(box_mesh.vertices_m), box_mesh.faces.astype(np.int32))
     assert same.digest == box_mesh.digest

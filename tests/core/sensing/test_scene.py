@@ -65,10 +65,6 @@ def test_x_points_right_and_y_points_down(make_box, make_scene, flat_camera):
     assert np.corrcoef(rows, columns)[0, 1] > 0.5
 
 
-def test_no_poses_give_no_depths(ball_scene):
-    assert ball_scene.render_contact_depths(np.zeros((0, 4, 4))).shape == (0, 44, 60)
-
-
 @pytest.fixture(params=list(CAMERAS))
 def problem(request):
     return press_block(request.param)

@@ -1,11 +1,8 @@
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from tactile_loc.core.places.places import CAMERA, HIGHEST_M, PATCH_PX, cut_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 
@@ -85,28 +82,6 @@ def test_an_empty_shape_gives_a_zero_vector():
         assert not pixel(10, signal).encode(np.full((1, 20, 20), PRESS_M, np.float32), PRESS_M, geometry).any()
 
 
-@pytest.mark.parametrize("signal", ["binary", "depth"])
-def test_unobserved_pixels_are_ignored(signal):
-    observed = np.ones((20, 30), bool)
-    observed[:, 18:] = False
-    geometry = dataclasses.replace(sensor(30, 20), observed=observed)
-    shapes = random_shapes(1, geometry)
-    other = shapes.copy()
-    other[:, :, 18:] = random_shapes(1, geometry, seed=1)[:, :, 18:]
-    encode = pixel(10, signal).encode
-    assert np.array_equal(encode(shapes, PRESS_M, geometry), encode(other, PRESS_M, geometry))
-    assert not np.array_equal(encode(shapes, PRESS_M, sensor(30, 20)), encode(other, PRESS_M, sensor(30, 20)))
-
-
-def test_a_batch_gives_the_vectors_of_its_single_shapes():
-    geometry = sensor(47, 33)
-    shapes = random_shapes(6, geometry)
-    encoder = pixel(11)
-    together = encoder.encode(shapes, PRESS_M, geometry)
-    alone = np.concatenate([encoder.encode(s[None], PRESS_M, geometry) for s in shapes])
-    np.testing.assert_allclose(together, alone, atol=1e-6)
-
-
 @pytest.mark.parametrize(("width", "height"), [(470, 470), (320, 240), (240, 320), (298, 201), (640, 333)])
 @pytest.mark.parametrize("cells", [4, 20, 90])
 @pytest.mark.parametrize("long_side", [16, 60, 80, 128])
@@ -132,17 +107,3 @@ def test_the_same_view_at_another_resolution_gives_a_similar_vector():
 def test_the_bank_follows_the_press_depth():
     assert PixelEncoder.capabilities.follows_press_depth
     assert not PixelEncoder.capabilities.needs_training
-
-
-@pytest.mark.parametrize("signal", ["binary", "depth"])
-@pytest.mark.parametrize("cells", [4, 16, 20, PATCH_PX, PATCH_PX + 9])
-def test_patches_of_places_are_encoded_like_their_depths(signal, cells):
-    patches = np.random.default_rng(1).integers(0, 256, (6, PATCH_PX, PATCH_PX)).astype(np.uint8)
-    patches[1] = 255
-    encoder = pixel(cells, signal)
-    for press_m in (1e-4, 7e-4, HIGHEST_M, 1.5 * HIGHEST_M):
-        expected = encoder.encode(cut_patches(patches, press_m), press_m, CAMERA)
-        found = encoder.encode_patches(patches, press_m)
-        assert found.dtype == np.float32
-        assert found == pytest.approx(expected, abs=1e-6)
-        assert not found[1].any()

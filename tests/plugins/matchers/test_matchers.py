@@ -91,19 +91,6 @@ def test_a_score_of_unit_vectors_is_the_cosine_minus_one(random_bank):
     np.testing.assert_allclose(dense_of(bank).scores(queries), queries @ bank.T - 1, atol=1e-6)
 
 
-def test_a_row_matches_itself_best(real_bank):
-    _, bank = real_bank
-    scores = dense_of(bank).scores(bank[::50])
-    np.testing.assert_allclose(scores[np.arange(len(scores)), np.arange(len(scores)) * 50], 0, atol=1e-5)
-    np.testing.assert_allclose(scores.max(axis=1), 0, atol=1e-5)
-
-
-def test_dense_scores_do_not_depend_on_the_batch(random_bank):
-    queries, bank = random_bank
-    matcher = dense_of(bank)
-    np.testing.assert_allclose(matcher.scores(queries[3:4])[0], matcher.scores(queries)[3], atol=1e-5)
-
-
 def test_dense_takes_any_memory_layout_and_keeps_the_bank(random_bank):
     queries, bank = random_bank
     before = bank.copy()

@@ -11,7 +11,7 @@ from tactile_loc.core.geometry.rigid import make_transform, make_translation, ro
 from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
@@ -53,15 +53,3 @@ def off_by(pin_scene) -> OffBy:
 def error_mm(pin_scene) -> ErrorMm:
     """Return the distance of a pose (4, 4) from a touch's truth, mm."""
     return lambda touch, T: 1e3 * float(PoseMetric(pin_scene.object).distance(T, touch.T_sensor_object))
-
-
-@pytest.fixture
-def elsewhere(pin_scene, pin_touches) -> tuple[Touch, Candidate]:
-    """A touch in the sensor's corner, and a candidate in its centre: no point of one is near the other."""
-    touch, g = pin_touches[3], pin_scene.geometry
-    depth = np.full(g.shape, touch.press_depth_m, np.float32)
-    depth[:4, :4] = 0.0
-    centred = touch.T_sensor_object.copy()
-    centred[:2, 3] -= transform_points(centred, pin_scene.object.mesh.centroid_m[None])[0, :2]
-    candidate = Candidate(pin_scene.bring_to_contact(centred[None])[0][0], 0, 0.0)
-    return Touch(ContactShape(depth, touch.press_depth_m), g), candidate

@@ -123,13 +123,6 @@ def test_a_known_offset_shrinks(pin_scene, pin_touches, off_by, error_mm):
     assert np.median(errors) < 0.4 * np.median(before)
 
 
-def test_a_touch_far_from_the_candidate_does_not_converge(pin_scene, elsewhere):
-    touch, candidate = elsewhere
-    refined = KissIcpRefiner().refine(touch, candidate, pin_scene)
-    assert (refined.converged, refined.contact_iou) == (False, 0.0)
-    assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
-
-
 def test_a_missing_library_gives_an_error_with_the_package_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "kiss_icp", None)
     monkeypatch.setitem(sys.modules, "kiss_icp.mapping", None)

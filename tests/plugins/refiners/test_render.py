@@ -102,21 +102,6 @@ def test_a_refined_pose_never_explains_the_touch_worse_than_the_candidate(refine
     assert (after > before + 0.05).any()
 
 
-def test_a_batch_has_the_results_of_single_refinements(refiner, problem):
-    candidates = [
-        problem.make_candidate((0.0006, -0.0005, 0.03)),
-        tilted(problem),
-        problem.make_candidate((0.2, 0.0, 0.0)),
-    ]
-    together = refiner.refine_many(problem.touch, candidates, problem.scene)
-    for candidate, found in zip(candidates, together, strict=True):
-        alone = refiner.refine(problem.touch, candidate, problem.scene)
-        np.testing.assert_allclose(found.T_sensor_object, alone.T_sensor_object, atol=2e-6)
-        assert (found.converged, found.iterations) == (alone.converged, alone.iterations)
-    assert not together[2].converged
-    assert refiner.refine_many(problem.touch, [], problem.scene) == []
-
-
 def test_the_z_of_the_candidate_does_not_matter(refiner, problem):
     candidate = tilted(problem)
     lifted = Candidate(make_translation([0.0, 0.0, 0.003]) @ candidate.T_sensor_object, 0, 0.0)

@@ -31,7 +31,6 @@ from tactile_loc.sensors.optics.lamps import OPTICS  # noqa: E402
 from tactile_loc.sensors.optics.shading import render_background  # noqa: E402
 from tactile_loc.sensors.reading.reading import SKIRT  # noqa: E402
 from tactile_loc.slots.registry import registry  # noqa: E402
-from tactile_loc.testing import list_checks  # noqa: E402
 
 BALLS = ball_set(12)
 PRESS_M = 7e-4
@@ -62,13 +61,6 @@ def test_the_calibrated_sensor_is_registered(sensor):
     assert sensor.geometry.is_same_sensor(BALLS.geometry)
 
 
-def test_the_calibrated_sensor_keeps_its_contract(sensor):
-    checks = list_checks(sensor)
-    assert len(checks) > 8
-    for check in checks:
-        check(sensor)
-
-
 def test_the_untouched_gel_is_no_contact_for_a_wrong_estimator(folder):
     sensor = registry().create("sensor", "calibrated", {"path": str(folder)})
     estimator, wrong = sensor.calibration.estimator, ball_indentation(BALLS.geometry, press_m=8e-5)
@@ -91,14 +83,6 @@ def test_an_image_of_a_ball_gives_the_contact_shape_of_the_ball(sensor, photo):
     inner = rho < 0.7 * contact_radius(shape.press_depth_m)
     assert np.sqrt(np.mean((shape.depth_m - rise)[inner] ** 2)) < 4e-5
     Touch(shape, sensor.geometry)
-
-
-def test_equal_images_give_equal_shapes_and_stay_unchanged(sensor, photo):
-    kept = photo.copy()
-    first, again = sensor.contact_shape(photo), sensor.contact_shape(photo)
-    np.testing.assert_array_equal(first.depth_m, again.depth_m)
-    assert first.press_depth_m == again.press_depth_m
-    np.testing.assert_array_equal(photo, kept)
 
 
 def test_a_read_only_image_is_accepted(sensor, photo):

@@ -103,12 +103,6 @@ def test_images_are_refused(sensor: Preset) -> None:
             sensor.contact_shape(np.zeros(shape, np.uint8))
 
 
-@ALL
-def test_images_of_other_sizes_are_refused(sensor: Preset) -> None:
-    with pytest.raises(TouchError, match=naming("(10, 10)", sensor.geometry.shape)):
-        sensor.contact_shape(np.zeros((10, 10)))
-
-
 THICKNESSES_MM = {"gelslim": 4.0, "gelsight-mini": 4.25, "digit": 4.6, "digit-curved": 4.6}
 
 
