@@ -37,7 +37,7 @@ from tactile_loc.slots.interface import INTERFACE_VERSION, explain_version, requ
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
 COMMAND = "command"
-COMMAND_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+KEBAB_CASE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 hookspec = pluggy.HookspecMarker(PROJECT)
 hookimpl = pluggy.HookimplMarker(PROJECT)
@@ -308,7 +308,7 @@ def _import_target(found: Offer[Any], require: Callable[[Any], None]) -> Any:
 
 def _require_command_spec(spec: Any) -> None:
     """Raise TypeError unless this is the spec of a command."""
-    if not isinstance(spec, CommandSpec) or not COMMAND_NAME.fullmatch(spec.name):
+    if not isinstance(spec, CommandSpec) or not KEBAB_CASE.fullmatch(spec.name):
         raise TypeError(f"offers {spec!r}; a command needs a CommandSpec, whose name is lower-case words with hyphens")
 
 

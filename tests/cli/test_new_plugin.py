@@ -14,7 +14,7 @@ from cli_helpers import TINY, Cli, assert_refused, command
 from message_helpers import naming
 from tactile_loc_cli.scaffold import package
 from tactile_loc_cli.scaffold.command import new_plugin
-from tactile_loc_cli.scaffold.naming import LONGEST, Naming
+from tactile_loc_cli.scaffold.package import LONGEST, Naming
 
 from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.slots.registry import COMMAND, SLOTS, registry

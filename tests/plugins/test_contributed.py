@@ -15,8 +15,7 @@ from pathlib import Path
 
 import pytest
 import tactile_loc_cli
-from tactile_loc_cli.scaffold.naming import Naming
-from tactile_loc_cli.scaffold.package import render
+from tactile_loc_cli.scaffold.package import Naming, render
 
 import tactile_loc
 from tactile_loc.slots.registry import SLOTS

@@ -32,8 +32,7 @@ def new_plugin(slot: Slot, name: Name, out: Out = None) -> dict[str, Any]:
     The package has a small working component, its registration as a plugin, and tests. It can be installed at once.
     Replace the component's code with yours; docs/tutorial-plugin.md shows how.
     """
-    from tactile_loc_cli.scaffold.naming import Naming
-    from tactile_loc_cli.scaffold.package import write
+    from tactile_loc_cli.scaffold.package import Naming, write
 
     naming = Naming(slot, name)
     naming.require_free()

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tactile_loc.slots.registry import registry
-from tactile_loc_cli.scaffold.naming import Naming
-from tactile_loc_cli.scaffold.package import describe_example, render
+from tactile_loc_cli.scaffold.package import Naming, describe_example, render
 
 INTRODUCTION = """\
 # An example of each slot
