@@ -40,8 +40,7 @@ from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.sensors.calibration import gel_fit, pressed_balls
 from tactile_loc.store.store import StageStore
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
-from tactile_loc.view import one_versus_several as touching_again
-from tactile_loc.view import pictures, pose_panel, raytracing
+from tactile_loc.view import one_versus_several, pictures, pose_panel, raytracing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,7 +129,7 @@ def small_pictures() -> Iterator[None]:
             pass
 
     with pytest.MonkeyPatch.context() as patch:
-        for drawing in (pose_panel, touching_again):
+        for drawing in (pose_panel, one_versus_several):
             patch.setattr(drawing, "PIXELS", drawing.PIXELS // 4)
         patch.setattr(raytracing, "LIT_PX", raytracing.LIT_PX // 4)
         patch.setattr(pictures, "DPI", pictures.DPI // 2)

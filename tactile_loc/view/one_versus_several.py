@@ -45,7 +45,7 @@ LABEL = 0.55  # place of a sensor's label: 0 for the gel's middle, 1 for its cor
 MARGIN = 0.05  # free space around the drawn solids, in sizes of the picture
 
 
-def draw_touching_again(alone: Localization, together: Localization, title: str) -> Figure:
+def draw_one_versus_several(alone: Localization, together: Localization, title: str) -> Figure:
     """Draw the first touch and the poses that explain it, beside all touches and the first pose that explains them.
 
     `alone` is the result of the first touch of `together`. Lines show the true pose if it is known.

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 from tactile_loc import localize_together
-from tactile_loc.view.one_versus_several import draw_touching_again
+from tactile_loc.view.one_versus_several import draw_one_versus_several
 
 pytestmark = pytest.mark.usefixtures("arranged_pictures")
 
@@ -22,7 +22,7 @@ def pair(localizer):
 
 
 def test_both_sides_state_verdict_and_error(pair):
-    figure = draw_touching_again(*pair, "a pin")
+    figure = draw_one_versus_several(*pair, "a pin")
     shown = [text.get_text() for text in figure.findobj(plt.Text)]
     assert "a pin" in shown
     for found in pair:
@@ -35,7 +35,7 @@ def test_no_true_pose_is_drawn_if_it_is_unknown(pair):
     unknown = [
         dataclasses.replace(found, touch=dataclasses.replace(found.touch, T_sensor_object=None)) for found in pair
     ]
-    figure = draw_touching_again(*unknown, "a pin")
+    figure = draw_one_versus_several(*unknown, "a pin")
     shown = [text.get_text() for text in figure.findobj(plt.Text)]
     assert not any("true" in text or text.endswith(" off") for text in shown)
 

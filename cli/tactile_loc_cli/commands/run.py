@@ -190,7 +190,7 @@ def _write_result(
     localization: Localization, scene: Scene, out: Path, page: bool, alone: Localization | None
 ) -> list[Path]:
     """Write the files and the picture of a result and, with `page`, its report. Return their paths."""
-    from tactile_loc.view.one_versus_several import draw_touching_again
+    from tactile_loc.view.one_versus_several import draw_one_versus_several
     from tactile_loc.view.pictures import draw_result, save_figure
     from tactile_loc_cli.results import make_title
 
@@ -198,7 +198,7 @@ def _write_result(
         errors_m = localization.measure_errors_m(scene.object)
         figure = draw_result(localization, scene, make_title(localization), errors_m)
     else:
-        figure = draw_touching_again(alone, localization, make_title(localization))
+        figure = draw_one_versus_several(alone, localization, make_title(localization))
     with lock_folder(out):
         written = [*localization.save(out, locked=True), save_figure(out / "result.png", figure)]
         if page:
