@@ -50,7 +50,7 @@ Columns = tuple[list[float], list[float], list[float], list[float], list[float]]
 def deform(depth_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry, gel: Gel) -> ContactShape:
     """Return the contact shape that ContactMechanics computes, given the depths (H, W), metres, in a rigid gel."""
     reach_m = np.where(depth_m < press_m, press_m - depth_m, -FAR_M)
-    return make_shape(press_layer(reach_m, geometry, gel), press_m)
+    return make_shape(press_layer(reach_m, geometry, gel.thickness_m or 0.0, gel.poisson), press_m)
 
 
 def press_elastic(touch: Touch, source: RobotTouches, gel: Gel) -> Touch:

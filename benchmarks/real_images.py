@@ -30,7 +30,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.calibrate import Calibrated, calibrate
 from tactile_loc.sensors.calibration.circles import Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.sensors.calibration.folder import write_calibration
-from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, convert, read_presses
+from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, convert_presses, read_presses
 from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
 from tactile_loc.sensors.reading.reading import Health, measure_health, measure_press_m
 from tactile_loc.store.store import StageStore
@@ -54,7 +54,7 @@ GRID_MM = 1.6  # gives a bank of about 13 000 poses with 1600 cells; half the sp
 def read(name: str, data: Path, folder: Path) -> PressFolder:
     """Convert a public set into a folder of presses, and read it."""
     source, format, ball_radius_mm, mm_per_px, (width, height) = SETS[name]
-    convert(data / source, folder, format, ball_radius_mm, mm_per_px)
+    convert_presses(data / source, folder, format, ball_radius_mm, mm_per_px)
     scale = 1e3 / mm_per_px
     geometry = SensorGeometry(
         "orthographic", width, height, scale, scale, width / 2, height / 2, standoff_m=0.01, max_depth_m=1.5e-3

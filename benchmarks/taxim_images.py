@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc_benchmark.sources.calibrating import calibrate_sensor, label_balls
+from tactile_loc_benchmark.sources.calibrating import calibrate_sensor
 from tactile_loc_benchmark.sources.taxim_images import TaximGel
 from tactile_loc_benchmark.suite import read_split
 
@@ -42,7 +42,7 @@ from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.images import write_image
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
-from tactile_loc.sensors.calibration.frames import read_frames
+from tactile_loc.sensors.calibration.labelling import label_presses
 from tactile_loc.sensors.calibration.presses import TABLE
 from tactile_loc.sensors.reading.reading import (
     extrapolate_press_m,
@@ -124,7 +124,7 @@ def write_presses(sensor: TaximGel, folder: Path, rng: np.random.Generator) -> l
 
 def calibrate(presses: Path, out: Path, camera: SensorGeometry) -> Calibration:
     """Calibrate on a folder of images, as `tactile-loc calibrate` without a table, and return the sensor."""
-    label_balls(presses, read_frames(presses)[1], BALL_MM / MM, camera.pixel_pitch_m)
+    label_presses(presses, None, BALL_MM, MM * camera.pixel_pitch_m)
     return read_calibration(calibrate_sensor(presses, camera, out))
 
 

@@ -12,9 +12,9 @@ import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from tactile_loc_benchmark.files import HEAD, TABLE_NOTE, list_cells
+from tactile_loc_benchmark.files import HEAD, TABLE_NOTE, format_within, list_cells
 from tactile_loc_benchmark.leaderboard import Standing, read_standings
-from tactile_loc_benchmark.summary import WITHIN_M, Group, format_within
+from tactile_loc_benchmark.summary import WITHIN_M, MethodResult
 
 from tactile_loc.evaluation.text_tables import format_markdown
 from tactile_loc.slots.registry import registry
@@ -43,7 +43,7 @@ def _negate(value: float | None) -> float | None:
 
 
 # For each column of HEAD from the fourth on: the value of which the largest is the best, or None.
-MERITS: tuple[Callable[[Group], float | None] | None, ...] = (
+MERITS: tuple[Callable[[MethodResult], float | None] | None, ...] = (
     *(lambda group, k=k: group.within[k] for k in range(len(WITHIN_M))),  # type: ignore[misc]
     lambda group: group.listed_within[NEAR],
     lambda group: _negate(group.median_m),
@@ -103,7 +103,10 @@ def _tabulate(standings: Sequence[Standing]) -> list[list[str]]:
     return rows
 
 
-def _is_best(group: Group, rivals: Iterable[Group], merit: Callable[[Group], float | None] | None) -> bool:
+Merit = Callable[[MethodResult], float | None]
+
+
+def _is_best(group: MethodResult, rivals: Iterable[MethodResult], merit: Merit | None) -> bool:
     if merit is None or (own := merit(group)) is None:
         return False
     return all((other := merit(rival)) is None or other <= own for rival in rivals)

@@ -30,10 +30,21 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape
     from tactile_loc.core.sensing.touch import Touch as Touch
     from tactile_loc.data import DEMO_OBJECTS as DEMO_OBJECTS
+    from tactile_loc.evaluation.jobs import QueuedJob as QueuedJob
+    from tactile_loc.evaluation.jobs import resume_jobs as resume_jobs
+    from tactile_loc.evaluation.metrics import PoseJudge as PoseJudge
+    from tactile_loc.evaluation.recall.bop import BopScene as BopScene
+    from tactile_loc.evaluation.recall.bop import write_bop as write_bop
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
     from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
+    from tactile_loc.evaluation.summary import ExampleSummary as ExampleSummary
     from tactile_loc.evaluation.sweep.plan import Plan as Plan
     from tactile_loc.evaluation.sweep.sweep import run_sweep as run_sweep
+    from tactile_loc.evaluation.table import ExampleTable as ExampleTable
+    from tactile_loc.evaluation.text_tables import format_markdown as format_markdown
+    from tactile_loc.evaluation.text_tables import read_parquet as read_parquet
+    from tactile_loc.evaluation.text_tables import write_parquet as write_parquet
+    from tactile_loc.evaluation.text_tables import write_texts as write_texts
     from tactile_loc.evaluation.workers import LocalWorkers as LocalWorkers
     from tactile_loc.io.approach_files import Approach as Approach
     from tactile_loc.io.approach_files import read_approaches as read_approaches
@@ -83,15 +94,21 @@ if TYPE_CHECKING:
     from tactile_loc.planning.next_touch import NextTouch as NextTouch
     from tactile_loc.planning.next_touch import RatedApproach as RatedApproach
     from tactile_loc.planning.next_touch import choose_next_touch as choose_next_touch
+    from tactile_loc.reports.page import Page as Page
+    from tactile_loc.reports.page import Section as Section
+    from tactile_loc.reports.report import write_page as write_page
     from tactile_loc.reports.report import write_report as write_report
     from tactile_loc.reports.sweep_figures import write_sweep as write_sweep
     from tactile_loc.sensors.calibration.labelling import BallLabels as BallLabels
     from tactile_loc.sensors.calibration.labelling import label_presses as label_presses
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome as CalibrationOutcome
     from tactile_loc.sensors.calibration.outcome import calibrate_folder as calibrate_folder
+    from tactile_loc.sensors.calibration.presses import convert_presses as convert_presses
     from tactile_loc.sensors.calibration.presses import list_named_files as list_named_files
     from tactile_loc.sensors.reading.estimator import EstimatorRecipe as EstimatorRecipe
     from tactile_loc.simulate.touch_simulation import press_touch as press_touch
+    from tactile_loc.store.keys import StageKey as StageKey
+    from tactile_loc.store.keys import hash_code as hash_code
     from tactile_loc.store.store import StageStore as StageStore
     from tactile_loc.tracking.live import LiveLocator as LiveLocator
     from tactile_loc.tracking.pose_modes import PoseModes as PoseModes

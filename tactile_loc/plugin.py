@@ -127,6 +127,10 @@ if TYPE_CHECKING:
     from tactile_loc.bases.cloud_refiner import Registration as Registration
     from tactile_loc.bases.cloud_refiner import make_orthonormal as make_orthonormal
 
+    # for lists of poses, in orders that rounding cannot change
+    from tactile_loc.core.poses.merging import merge_modes as merge_modes
+    from tactile_loc.core.poses.posterior import group_ties as group_ties, rank_poses as rank_poses
+
     # for fusers
     from tactile_loc.bases.common_poses import CommonPosesFuser as CommonPosesFuser
     from tactile_loc.bases.common_poses import require_fusable as require_fusable

@@ -21,6 +21,7 @@ from tactile_loc.core.runtime.formatting import show_bytes
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+OWN = "tactile_loc.reports"
 JSON_OPTIONS: dict[str, Any] = {"separators": (",", ":"), "allow_nan": False}
 
 
@@ -39,7 +40,8 @@ class Page:
 
     `title` and `about` are plain text. `scripts` are names of assets that draw plots with plotly; `data` are
     JSON values for these scripts.
-    The template in templates/`template`.html.j2 has a macro for each section. If `connects` is true, the page may
+    The template in templates/`template`.html.j2 has a macro for each section. The template and the scripts are in the
+    folders `templates` and `assets` of the `package`, or in those of this package. If `connects` is true, the page may
     contact its server.
     """
 
@@ -50,6 +52,7 @@ class Page:
     data: Any
     scripts: Sequence[str]
     connects: bool = False
+    package: str = OWN
 
 
 def render(page: Page) -> str:
@@ -57,26 +60,27 @@ def render(page: Page) -> str:
     from plotly.offline import get_plotlyjs
 
     drawing = [get_plotlyjs()] if page.scripts else []
-    scripts = [*drawing, *(read_asset(name) for name in ("page.js", *page.scripts))]
+    scripts = [*drawing, *(read_asset(name, page.package) for name in ("page.js", *page.scripts))]
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
-    template = load_templates().get_template("page.html.j2")
+    template = load_templates(page.package).get_template("page.html.j2")
     return show_bytes(template.render(page=page, style=read_asset("page.css"), scripts=scripts, hashes=hashes))
 
 
 @cache
-def load_templates() -> Environment:
-    """Return the templates of the package. The templates escape all texts from files and users."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+def load_templates(package: str = OWN) -> Environment:
+    """Return the templates of this package and of another one. They escape all texts from files and users."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-    loader = PackageLoader("tactile_loc.reports")
+    loader = ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((OWN, package))])
     found = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, keep_trailing_newline=True)
     found.policies["json.dumps_kwargs"] = JSON_OPTIONS
     return found
 
 
-def read_asset(name: str) -> str:
-    """Return the text of a script or style sheet of the package."""
-    return resources.files("tactile_loc.reports").joinpath("assets", name).read_text(encoding="utf-8")
+def read_asset(name: str, package: str = OWN) -> str:
+    """Return the text of a script or style sheet of a package, or of this package if the other has none."""
+    file = resources.files(package).joinpath("assets", name)
+    return (file if file.is_file() else resources.files(OWN).joinpath("assets", name)).read_text(encoding="utf-8")
 
 
 @contextmanager

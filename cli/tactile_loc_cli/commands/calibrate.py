@@ -146,11 +146,11 @@ def _require_one_source(simulated: bool, folder: Path | None, of_folder: bool, o
 
 
 def _convert(source: Path, folder: Path, format: Format, ball_radius: float | None, mm_per_px: float | None) -> Path:
-    from tactile_loc.sensors.calibration.presses import convert, write_sensor
+    from tactile_loc.sensors.calibration.presses import convert_presses, write_sensor
 
     if not (ball_radius and ball_radius > 0 and mm_per_px and mm_per_px > 0):
         raise ConfigError(f"--format {format} needs --ball-radius and --mm-per-px, positive numbers in mm")
-    convert(source, folder, format, ball_radius, mm_per_px)
+    convert_presses(source, folder, format, ball_radius, mm_per_px)
     write_sensor(folder, mm_per_px)
     return folder
 

@@ -9,7 +9,7 @@ FOLDER = "./plugins_contrib/tactile-loc-benchmark"  # of this package in a clone
 SOLVERS, CYCLEGAN = f"{FOLDER}[sources]", f"{FOLDER}[cyclegan]"
 # name: class, summary, and what pip installs if a library is missing
 SOURCES = {
-    "simulated": ("simulated:SimulatedTouches", "contact shapes by a renderer of tactile-loc", ""),
+    "simulated": ("simulated:RenderedTouches", "contact shapes by a renderer of tactile-loc", ""),
     "contact-mechanics-layer": (
         "layer:ElasticLayer",
         "contact shapes on an elastic layer, by ContactMechanics",

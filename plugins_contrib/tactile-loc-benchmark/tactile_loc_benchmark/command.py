@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from tactile_loc_benchmark.runner import Benchmark
     from tactile_loc_benchmark.suite import Suite
 
-DEFAULT_OUT = Path("benchmark")
+DEFAULT_OUT, PAGE = Path("benchmark"), "report.html"
 
 SuiteName = Annotated[str, declare("--suite NAME|FILE.toml", "The suite: quick, standard, full, or a file.")]
 Sources = Annotated[
@@ -61,9 +61,8 @@ def benchmark(
     objects from one touch and from several (docs/benchmark.md). A source whose library is missing is left out, with the
     reason. After an interruption, the same command resumes.
     """
-    from tactile_loc.evaluation.sweep.plan import split_all
-    from tactile_loc.reports.report import DEFAULT_NAME, write_page
-    from tactile_loc.store.store import StageStore
+
+    from tactile_loc import StageStore, write_page
 
     from tactile_loc_benchmark.files import read_benchmark, tabulate, write_benchmark
     from tactile_loc_benchmark.page import make_benchmark_page, show_sources
@@ -71,11 +70,11 @@ def benchmark(
     from tactile_loc_benchmark.suite import Suite
 
     if report:
-        written = write_page(make_benchmark_page(*read_benchmark(out)), out / DEFAULT_NAME)
+        written = write_page(make_benchmark_page(*read_benchmark(out)), out / PAGE)
         say(f"written: {written}")
         return {"out": str(out), "written": [str(written)]}
     chosen = Suite.from_toml(suite, data)
-    chosen = chosen.select(source and split_all(source), method and split_all(method))
+    chosen = chosen.select(source and _split(source), method and _split(method))
     if examples is not None:
         chosen = chosen.model_copy(update={"examples": examples})
     if list_labels:
@@ -86,11 +85,15 @@ def benchmark(
     files = write_benchmark(out, results, pictures)
     if results.rows:
         say_table(tabulate(results.groups), left=(0, 2))
-        files.append(write_page(make_benchmark_page(results, pictures), out / DEFAULT_NAME))
+        files.append(write_page(make_benchmark_page(results, pictures), out / PAGE))
     outcome = _say_outcome(found, out, files)
     if found.failed:
         raise Finding(UNEXPECTED, outcome)
     return outcome
+
+
+def _split(words: list[str]) -> list[str]:
+    return [label.strip() for word in words for label in word.split(",")]
 
 
 def _list_labels(suite: Suite) -> dict[str, Any]:
@@ -102,13 +105,17 @@ def _list_labels(suite: Suite) -> dict[str, Any]:
 
 
 def _say_outcome(found: Benchmark, out: Path, files: list[Path]) -> dict[str, Any]:
-    for label, problem in found.left_out.items():
+    for label, problem in found.results.left_out.items():
         say(f"left out: {label}: {problem}")
     for cell in found.failed:
         say(f"failed: {cell.name}: {cell.error}")
     say(f"{format_count(len(found.cells), 'job')}, {found.done} done now")
     return {
-        "suite": found.suite.name, "out": str(out), "jobs": len(found.cells), "done": found.done,
-        "failed": len(found.failed), "left_out": found.left_out,
+        "suite": found.suite.name,
+        "out": str(out),
+        "jobs": len(found.cells),
+        "done": found.done,
+        "failed": len(found.failed),
+        "left_out": found.results.left_out,
         "written": say_written(files),
-    }  # fmt: skip
+    }

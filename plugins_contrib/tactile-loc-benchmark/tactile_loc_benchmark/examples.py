@@ -11,22 +11,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.core.geometry.rigid import Poses, draw_rotations, invert, make_transform
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches, touches_enough
-from tactile_loc.io.config import SlotConfig
-from tactile_loc.slots.registry import registry
-from tactile_loc.slots.sensor import SensorModel
-from tactile_loc.store.artifact import Artifact
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
-from tactile_loc.store.workspace import Workspace
+from tactile_loc import RobotTouches, StageKey, StageStore
+from tactile_loc.plugin import (
+    ContactShape,
+    ObjectModel,
+    Poses,
+    Scene,
+    SensorModel,
+    Touch,
+    TouchError,
+    draw_rotations,
+    invert,
+    make_transform,
+    registry,
+)
 
 from tactile_loc_benchmark.interfaces import Image, RecordedSource, SimulatedSource, TouchSource
-from tactile_loc_benchmark.suite import Entry, Suite, create, hash_component_code
+from tactile_loc_benchmark.suite import Suite, SuiteEntry, create, hash_component_code
 
 EXAMPLES_VERSION = 2  # increase it if the same source and seed give other touches
 RENDERER = "raycast"
@@ -37,7 +38,7 @@ ARRAYS = ("depth_m", "numbers", "T_sensor_object", "T_base_object", "count", "re
 
 
 @dataclass(frozen=True, eq=False)
-class Examples:
+class DrawnTouches:
     """E examples with up to M touches each, in the base frame.
 
     `depth_m` (E, M, H, W), metres, are the contact shapes, and `numbers` (E, M, 3) their NUMBERS, metres; NaN stands
@@ -74,8 +75,8 @@ class Examples:
 
 def make_sensor(table: Mapping[str, Any]) -> SensorModel:
     """Return the sensor of a table: its name and its options."""
-    chosen = SlotConfig.model_validate(dict(table))
-    sensor: SensorModel = registry().create("sensor", chosen.name, chosen.options)
+    options = {name: value for name, value in table.items() if name != "name"}
+    sensor: SensorModel = registry().create("sensor", table["name"], options)
     return sensor
 
 
@@ -88,7 +89,7 @@ def describe_libraries(names: Iterable[str]) -> dict[str, str]:
     return found
 
 
-class Press(NamedTuple):
+class SourcePress(NamedTuple):
     """A press that the sensor could read: its contact shape, its true pose, and its observation."""
 
     shape: ContactShape
@@ -96,10 +97,10 @@ class Press(NamedTuple):
     seen: Image | NDArray[np.float32]
 
 
-class Example(NamedTuple):
+class PressedExample(NamedTuple):
     """Presses on an object at rest, the object's pose, and the number of presses that the sensor refused."""
 
-    presses: list[Press]
+    presses: list[SourcePress]
     T_base_object: Poses
     refused: int
 
@@ -109,15 +110,15 @@ class ExampleDrawer:
     """Draws the examples of one object with one source, and keeps them in a store."""
 
     suite: Suite
-    entry: Entry
+    entry: SuiteEntry
     table: Mapping[str, Any]
     object: ObjectModel
 
-    def load(self, store: StageStore) -> Examples:
+    def load(self, store: StageStore) -> DrawnTouches:
         """Return the examples, from the store or drawn now."""
         return _read_examples(store.build(self.key, self._draw))
 
-    def find(self, store: StageStore) -> Examples | None:
+    def find(self, store: StageStore) -> DrawnTouches | None:
         """Return the examples if the store has them."""
         artifact = store.get(self.key)
         return None if artifact is None else _read_examples(artifact)
@@ -127,11 +128,16 @@ class ExampleDrawer:
         """The store key, made from everything that determines the touches."""
         geometry = self.sensor.geometry.describe()
         inputs: dict[str, Any] = {
-            "source": self.source.describe(), "libraries": describe_libraries(self.source.libraries),
-            "sensor": {**self.sensor.describe(), "geometry": geometry}, "object": self.object.describe(),
-            "examples": self.suite.examples, "most": max(self.suite.touches), "seed": self.suite.seed,
-            "press": list(self.suite.press), "code": hash_component_code("touch-source", self.entry),
-        }  # fmt: skip
+            "source": self.source.describe(),
+            "libraries": describe_libraries(self.source.libraries),
+            "sensor": {**self.sensor.describe(), "geometry": geometry},
+            "object": self.object.describe(),
+            "examples": self.suite.examples,
+            "most": max(self.suite.touches),
+            "seed": self.suite.seed,
+            "press": list(self.suite.press),
+            "code": hash_component_code("touch-source", self.entry),
+        }
         return StageKey("benchmark-touches", EXAMPLES_VERSION, inputs, f"{self.entry.label}, {self.object.name}")
 
     @cached_property
@@ -145,13 +151,13 @@ class ExampleDrawer:
         source: TouchSource = create("touch-source", self.entry)
         return source
 
-    def _draw(self, work: Workspace) -> None:
+    def _draw(self, work: Any) -> None:
         recorded = isinstance(self.source, RecordedSource)
         drawn = self._pack(list(self._read_recorded() if recorded else self._press()))
         for name in ARRAYS:
             work.save_array(name, getattr(drawn, name), packed=name == "depth_m")
 
-    def _press(self) -> Iterator[Example]:
+    def _press(self) -> Iterator[PressedExample]:
         """Yield examples that are pressed from random directions.
 
         Each touch has random numbers of its own. So all sources whose sensors have the same geometry get the same
@@ -165,14 +171,14 @@ class ExampleDrawer:
                 if press is None:
                     break
                 presses.append(press)
-            yield Example(presses, self._lay_down(number), refused)
+            yield PressedExample(presses, self._lay_down(number), refused)
 
     def _lay_down(self, number: int) -> Poses:
         """Return the pose (4, 4), metres, of the object at rest in an example; all sources have the same poses."""
         rng = np.random.default_rng([self.suite.seed, number])
         return make_transform(draw_rotations(1, rng)[0], rng.uniform(-REACH_M, REACH_M, 3))
 
-    def _take(self, rng: np.random.Generator) -> tuple[Press | None, int]:
+    def _take(self, rng: np.random.Generator) -> tuple[SourcePress | None, int]:
         """Return a press that the sensor can read, or None, and the number of refused presses before it."""
         assert isinstance(self.source, SimulatedSource)
         refused = 0
@@ -183,7 +189,7 @@ class ExampleDrawer:
             except TouchError:
                 refused += 1
                 continue
-            return Press(shape, T, seen.depth_m if isinstance(seen, ContactShape) else seen), refused
+            return SourcePress(shape, T, seen.depth_m if isinstance(seen, ContactShape) else seen), refused
         return None, refused
 
     def _aim(self, rng: np.random.Generator) -> Iterator[tuple[Scene, Poses, np.random.Generator]]:
@@ -202,7 +208,9 @@ class ExampleDrawer:
                 continue
             T[2, 3] -= press_m
             scene = Scene(self.object, geometry.press(press_m, geometry.max_depth_m), renderer)
-            if touches_enough(scene.render_contact_depths(T[None])[0], press_m, geometry):
+            seen = geometry.observed_mask
+            contact = (scene.render_contact_depths(T[None])[0] < np.float32(press_m)) & seen
+            if contact.sum() >= max(1.0, robot.least_percent / 100 * seen.sum()):
                 yield scene, T, own
 
     def _read(self, seen: Image | ContactShape) -> ContactShape:
@@ -211,18 +219,18 @@ class ExampleDrawer:
         Touch(shape, self.sensor.geometry)
         return shape
 
-    def _read_recorded(self) -> Iterator[Example]:
+    def _read_recorded(self) -> Iterator[PressedExample]:
         """Yield the recorded touches of the object. Each is an example of its own."""
         assert isinstance(self.source, RecordedSource)
         for number, touch in enumerate(self.source.read_touches(self.object.name)):
             T_base_object = self._lay_down(number)
             try:
-                press = Press(self._read(touch.image), touch.T_sensor_object, touch.image)
-                yield Example([press], T_base_object, 0)
+                press = SourcePress(self._read(touch.image), touch.T_sensor_object, touch.image)
+                yield PressedExample([press], T_base_object, 0)
             except TouchError:
-                yield Example([], T_base_object, 1)
+                yield PressedExample([], T_base_object, 1)
 
-    def _pack(self, examples: Sequence[Example]) -> Examples:
+    def _pack(self, examples: Sequence[PressedExample]) -> DrawnTouches:
         """Return the examples as arrays. Raises TouchError if there is none."""
         if not examples:
             raise TouchError(f"the source {self.entry.label!r} has no touches of {self.object.name}; leave it out")
@@ -234,12 +242,16 @@ class ExampleDrawer:
                 depth_m[e, k], T_sensor_object[e, k] = shape.depth_m, T
                 numbers[e, k] = [np.nan if (value := getattr(shape, name)) is None else value for name in NUMBERS]
         pictures = (example.presses[0].seen for example in examples if example.presses)
-        return Examples(
-            depth_m, numbers, T_sensor_object, np.stack([example.T_base_object for example in examples]),
-            np.array([len(example.presses) for example in examples]),
-            np.array([example.refused for example in examples]), next(pictures, np.zeros((0, 0), np.uint8)),
-        )  # fmt: skip
+        return DrawnTouches(
+            depth_m,
+            numbers,
+            T_sensor_object,
+            T_base_object=np.stack([example.T_base_object for example in examples]),
+            count=np.array([len(example.presses) for example in examples]),
+            refused=np.array([example.refused for example in examples]),
+            picture=next(pictures, np.zeros((0, 0), np.uint8)),
+        )
 
 
-def _read_examples(artifact: Artifact) -> Examples:
-    return Examples(*(artifact.load_array(name, mmap=False) for name in ARRAYS))
+def _read_examples(artifact: Any) -> DrawnTouches:
+    return DrawnTouches(*(artifact.load_array(name, mmap=False) for name in ARRAYS))

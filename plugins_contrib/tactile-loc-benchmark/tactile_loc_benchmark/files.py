@@ -6,33 +6,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.evaluation.recall.bop import write_bop
-from tactile_loc.evaluation.text_tables import (
-    Table,
-    format_length,
-    format_markdown,
-    format_share,
-    read_parquet,
-    require_parquet,
-    write_parquet,
-    write_texts,
-)
-from tactile_loc.io.streams.records import read_document
-from tactile_loc.reports.page import name_damage
+import numpy as np
+from tactile_loc import BopScene, format_markdown, read_parquet, write_bop, write_parquet, write_texts
+from tactile_loc.plugin import ConfigError
 
-from tactile_loc_benchmark.bop_scenes import make_scenes
 from tactile_loc_benchmark.job import Row
-from tactile_loc_benchmark.leaderboard import record_leaderboard
+from tactile_loc_benchmark.leaderboard import read_document, record_leaderboard
 from tactile_loc_benchmark.results import Results, UsedMethod, UsedSource
-from tactile_loc_benchmark.suite import Entry, Suite
-from tactile_loc_benchmark.summary import WITHIN_M, Group, format_within
+from tactile_loc_benchmark.suite import Suite, SuiteEntry
+from tactile_loc_benchmark.summary import WITHIN_M, MethodResult
 
 HEAD = (
-    "source", "touches", "method", "within 0.5 mm", "1 mm (95 % interval)", "2 mm", "5 mm", "any listed, 1 mm",
-    "median, mm", "determined: within 1 mm", "median, mm", "AUC", "MSSD", "calibration error", "covered, 95 %",
-    "certain: right", "time",
-)  # fmt: skip
+    *("source", "touches", "method"),
+    *("within 0.5 mm", "1 mm (95 % interval)", "2 mm", "5 mm", "any listed, 1 mm", "median, mm"),
+    *("determined: within 1 mm", "median, mm", "AUC", "MSSD", "calibration error", "covered, 95 %"),
+    *("certain: right", "time"),
+)
 TABLE_NOTE = (
     "A pose is measured by its surface distance. The first shares are of examples whose first pose is near enough. "
     "Examples without a pose count as missed. Intervals are bootstrap intervals over the examples. Determined: "
@@ -71,19 +60,22 @@ def record_benchmark(results: Results) -> dict[str, Any]:
 def read_benchmark(folder: Path) -> tuple[Results, list[Mapping[str, Any]]]:
     """Return the results, with rows without poses, and the pictures that `write_benchmark` wrote into a folder.
 
-    Raises ResultError if a file is missing or damaged, or if there are no rows.
+    Raises TactileLocError if a file is missing or damaged, or if there are no rows.
     """
     path = folder / f"{NAME}.json"
     document = read_document(path)
-    with name_damage(path):
+    rows = read_parquet(folder / ROWS, "run the benchmark again")
+    try:
         suite = Suite.model_validate(document["plan"])
         sources = [UsedSource(**_read_used(document, "sources", one)) for one in suite.source]
         methods = [UsedMethod(**_read_used(document, "methods", one)) for one in suite.method]
-        rows, about = _read_rows(path.with_name(ROWS)), (document["versions"], document["created"])
+        about = document["versions"], document["created"]
         return Results(suite, sources, methods, rows, document["failed"], *about), document["pictures"]
+    except (LookupError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path} is damaged or incomplete ({error!r}); run the benchmark again") from error
 
 
-def _read_used(document: Mapping[str, Any], kind: str, entry: Entry) -> dict[str, Any]:
+def _read_used(document: Mapping[str, Any], kind: str, entry: SuiteEntry) -> dict[str, Any]:
     """Return what the document states about an entry of the suite; only its name, if it was left out."""
     described = document[kind].get(entry.label, {"name": entry.name})
     return {"label": entry.label, **described, "problem": document["left_out"].get(entry.label, "")}
@@ -94,12 +86,22 @@ def list_rows(results: Results) -> list[Row]:
     return [{key: value for key, value in row.items() if key not in POSES} for row in results.rows]
 
 
-def _read_rows(path: Path) -> list[Row]:
-    """Return the rows of `list_rows` from a file. Values that a row lacks are left out."""
-    require_parquet("a benchmark")
-    if not path.is_file():
-        raise ResultError(f"there is no file {path}: no job of the benchmark has succeeded, or the file was moved")
-    return read_parquet(path, "run the benchmark again")
+def make_scenes(rows: Sequence[Row]) -> list[BopScene]:
+    """Return a scene of the BOP benchmark for each source and object; poses are in the base frame."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["source"], row["object"]), []).append(row)
+    scenes = []
+    for (source, name), some in groups.items():
+        T_true = np.full((1 + max(row["example"] for row in some), 4, 4), np.nan)
+        answers: dict[tuple[str, int], list[Any]] = {}
+        for row in some:  # a job's rows are in the order of the examples
+            if "true_T_base_object" in row:  # which every located row has
+                T_true[row["example"]] = row["true_T_base_object"]
+            answer = row.get("T_base_object", ()), row.get("scores", ()), row.get("seconds", np.nan)
+            answers.setdefault((row["method"], row["touches"]), []).append(answer)
+        scenes.append(BopScene(name, {"source": source}, T_true, answers))
+    return scenes
 
 
 def describe_suite(results: Results) -> str:
@@ -121,7 +123,7 @@ def format_summary(results: Results) -> str:
     return "\n".join(parts)
 
 
-def tabulate_sources(results: Results) -> Table:
+def tabulate_sources(results: Results) -> list[list[str]]:
     """Return a row for each source: its licence, versions and number of objects, or why it was left out."""
     rows = [["source", "licence", "versions", "objects", "left out"]]
     for one in results.sources:
@@ -130,7 +132,7 @@ def tabulate_sources(results: Results) -> Table:
     return rows
 
 
-def tabulate_methods(results: Results) -> Table:
+def tabulate_methods(results: Results) -> list[list[str]]:
     """Return a row for each method: the paper that it follows and its versions, or why it was left out."""
     rows = [["method", "follows", "versions", "left out"]]
     for one in results.methods:
@@ -138,7 +140,7 @@ def tabulate_methods(results: Results) -> Table:
     return rows
 
 
-def tabulate_failures(results: Results) -> Table:
+def tabulate_failures(results: Results) -> list[list[str]]:
     """Return a row for each job that ended with an error."""
     header = ["source", "object", "method", "error"]
     return [header, *([failed[name] for name in header] for failed in results.failed)]
@@ -148,14 +150,33 @@ def _join_versions(libraries: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {version}" for name, version in libraries.items()) or "-"
 
 
-def tabulate(groups: Sequence[Group]) -> Table:
+def format_share(share: float | None) -> str:
+    """Return a share, 0 to 1, in %; "-" without a share."""
+    return "-" if share is None else f"{100 * share:.0f} %"
+
+
+def format_length(length_m: float | None) -> str:
+    """Return a length, metres, in mm with three digits; "-" without a length."""
+    if length_m is None:
+        return "-"
+    value_mm = 1e3 * length_m
+    return f"{value_mm:.3f}" if value_mm < 1 else f"{value_mm:.2f}" if value_mm < 10 else f"{value_mm:.1f}"
+
+
+def format_within(group: MethodResult, number: int) -> str:
+    """Return the share within WITHIN_M[number] with its interval, in %."""
+    low, high = group.within_range[number]
+    return f"{format_share(group.within[number])} ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def tabulate(groups: Sequence[MethodResult]) -> list[list[str]]:
     """Return a table with a row for each group, sorted by source and number of touches, the header first."""
     order = {source: number for number, source in enumerate(dict.fromkeys(group.source for group in groups))}
     ordered = sorted(groups, key=lambda group: (order[group.source], group.touches))
     return [list(HEAD), *(list(list_cells(group)) for group in ordered)]
 
 
-def list_cells(group: Group) -> Iterator[str]:
+def list_cells(group: MethodResult) -> Iterator[str]:
     """Yield the cells of a group under HEAD."""
     yield from (group.source, str(group.touches), group.method)
     near = WITHIN_M.index(1e-3)

@@ -14,13 +14,17 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.core.geometry.rigid import Poses, is_rigid
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.runtime.errors import AnswerError
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.slots.component import Component
+from tactile_loc.plugin import (
+    AnswerError,
+    Component,
+    ContactShape,
+    ObjectModel,
+    Poses,
+    Scene,
+    SensorGeometry,
+    Touch,
+    is_rigid,
+)
 
 ROUNDING = 1e-4  # largest difference of an answer's rotations from proper ones, and of its probabilities' sum from 1
 

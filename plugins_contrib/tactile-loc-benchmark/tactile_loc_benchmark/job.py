@@ -12,23 +12,27 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.runtime.errors import AnswerError, ConfigError, TactileLocError
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.metrics import METRICS, PoseJudge
-from tactile_loc.evaluation.summary import RIGHT_M
-from tactile_loc.locate.result.freedom import explain_as_well
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.keys import hash_code
-from tactile_loc.store.store import StageStore
+from tactile_loc import PoseJudge, StageStore, hash_code
+from tactile_loc.plugin import (
+    AnswerError,
+    ConfigError,
+    ObjectModel,
+    Poses,
+    Scene,
+    TactileLocError,
+    Touch,
+    invert,
+    registry,
+)
 
 from tactile_loc_benchmark.examples import ExampleDrawer
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, RecordedSource, ScoredPoses
-from tactile_loc_benchmark.suite import OWN, Entry, Suite, create, hash_component_code
+from tactile_loc_benchmark.suite import OWN, Suite, SuiteEntry, create, hash_component_code
 
 LISTED = 10  # most poses of an answer that are measured
+METRICS = ("surface", "add", "mssd")  # the columns of `PoseJudge.measure_errors`
+RIGHT_M = 1e-3  # a pose with a smaller surface distance is right
+AS_WELL = 0.02  # a pose explains the touches as well as the true one if its imprint IoU is lower by at most this
 COVERED = 0.95  # probability of the poses that should include the true pose
 RENDERER = "heightmap"  # draws the poses that are compared with the true pose
 
@@ -49,8 +53,8 @@ class LocatingJob:
     key: str
     store: Path
     suite: Suite
-    source: Entry
-    method: Entry
+    source: SuiteEntry
+    method: SuiteEntry
     table: Mapping[str, Any]
     code: Mapping[str, str]
 
@@ -85,13 +89,14 @@ class LocatingJob:
         return [1] if isinstance(drawer.source, RecordedSource) else sorted(set(self.suite.touches))
 
 
-def describe_code(source: Entry, method: Entry) -> dict[str, str]:
+def describe_code(source: SuiteEntry, method: SuiteEntry) -> dict[str, str]:
     """Return hashes of the code that decides the rows of a source and a method. Raises TactileLocError."""
     return {
-        "touch-source": hash_component_code("touch-source", source), "method": hash_component_code("method", method),
+        "touch-source": hash_component_code("touch-source", source),
+        "method": hash_component_code("method", method),
         **{name: hash_code(f"tactile_loc.{name}") for name in LOCATING},
         **{name: hash_code(f"{OWN}.{name}") for name in DRAWING},
-    }  # fmt: skip
+    }
 
 
 def _locate(
@@ -131,7 +136,8 @@ class AnswerJudge:
         surface_m = errors_m[:, METRICS.index("surface")]
         row: Row = {"verdict": answer.verdict, "determined": self._is_determined(poses, surface_m, touches)}
         for k, metric in enumerate(METRICS):
-            row |= {f"{metric}_mm": 1e3 * errors_m[0, k], f"listed_{metric}_mm": 1e3 * errors_m[:, k].min()}
+            first_mm, listed_mm = 1e3 * float(errors_m[0, k]), 1e3 * float(errors_m[:, k].min())
+            row |= {f"{metric}_mm": first_mm, f"listed_{metric}_mm": listed_mm}
         if answer.probabilities is not None:
             p = answer.probabilities[:LISTED]
             enough = np.concatenate([[True], np.cumsum(p)[:-1] < COVERED])
@@ -151,7 +157,7 @@ class AnswerJudge:
             iou = self.scene.match_touch(touch).imprint_ious(seen, touch)
             ious.append(iou[:-1])
             true.append(iou[-1])
-        return not bool(explain_as_well(np.mean(ious, axis=0), float(np.mean(true))).any())
+        return not bool((np.mean(ious, axis=0) >= np.mean(true) - AS_WELL).any())
 
     @cached_property
     def poses(self) -> PoseJudge:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.io.streams.records import read_document
+from tactile_loc.plugin import ConfigError
 
 from tactile_loc_benchmark.results import Results, describe_used
-from tactile_loc_benchmark.summary import Group
+from tactile_loc_benchmark.summary import MethodResult
 
 SCHEMA_VERSION = 1
 
@@ -34,7 +34,7 @@ class Standing:
     paper: str
     libraries: Mapping[str, str]
     date: str
-    group: Group
+    group: MethodResult
 
 
 def record_leaderboard(results: Results) -> dict[str, Any]:
@@ -50,19 +50,35 @@ def record_leaderboard(results: Results) -> dict[str, Any]:
     }
 
 
+def read_document(path: Path) -> dict[str, Any]:
+    """Return a JSON file of a benchmark. Raises ConfigError if it cannot be read."""
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path} cannot be read ({error}); run the benchmark again") from error
+
+
 def read_standings(path: Path) -> Iterator[Standing]:
-    """Yield the groups of a leaderboard file. Raises ResultError for a damaged file or one of another version."""
+    """Yield the groups of a leaderboard file. Raises ConfigError for a damaged file or one of another version."""
     document = read_document(path)
     if document.get("schema_version") != SCHEMA_VERSION:
-        raise ResultError(f"{path} has another version than {SCHEMA_VERSION}; run the benchmark again")
+        raise ConfigError(f"{path} has another version than {SCHEMA_VERSION}; run the benchmark again")
     try:
         for values in document["groups"]:
-            group = Group.read(values)
+            group = MethodResult.read(values)
             source, method = document["sources"][group.source], document["methods"][group.method]
             yield Standing(
-                document["suite"]["name"], document["suite"]["summary"], source["protocol"], source["licence"],
-                source["libraries"], method["name"], method["options"], method["paper"], method["libraries"],
-                document["created"][:10], group,
-            )  # fmt: skip
+                suite=document["suite"]["name"],
+                summary=document["suite"]["summary"],
+                protocol=source["protocol"],
+                licence=source["licence"],
+                source_libraries=source["libraries"],
+                component=method["name"],
+                options=method["options"],
+                paper=method["paper"],
+                libraries=method["libraries"],
+                date=document["created"][:10],
+                group=group,
+            )
     except (LookupError, TypeError) as error:
-        raise ResultError(f"{path} is damaged or incomplete ({error!r}); run the benchmark again") from error
+        raise ConfigError(f"{path} is damaged or incomplete ({error!r}); run the benchmark again") from error

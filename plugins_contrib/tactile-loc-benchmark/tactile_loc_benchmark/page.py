@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import base64
+import io
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.evaluation.table import ExampleTable
-from tactile_loc.io.toml import format_toml
-from tactile_loc.reports.evaluation import collect_bins, sort_errors_mm
-from tactile_loc.reports.page import Page, Section
-from tactile_loc.reports.pictures import draw_shape, encode_photo
-from tactile_loc.store.store import StageStore
+import PIL.Image
+from numpy.typing import NDArray
+from tactile_loc import ExampleSummary, ExampleTable, Page, Section, StageStore, paint_shape
+from tactile_loc.plugin import SensorGeometry
 
-from tactile_loc_benchmark.examples import ExampleDrawer, Examples
+from tactile_loc_benchmark.examples import DrawnTouches, ExampleDrawer
 from tactile_loc_benchmark.files import (
     TABLE_NOTE,
     describe_suite,
@@ -26,15 +26,14 @@ from tactile_loc_benchmark.files import (
 from tactile_loc_benchmark.prepare import PreparedSource
 from tactile_loc_benchmark.results import Results
 from tactile_loc_benchmark.runner import Benchmark
-from tactile_loc_benchmark.summary import WITHIN_M, Group, find_determined, group_rows, make_examples
+from tactile_loc_benchmark.summary import WITHIN_M, MethodResult, group_examples
 
-DIGITS = 4
+BEYOND_MM, DIGITS = 1e6, 4  # the error of an example without a pose; digits of errors
 
 
 def make_benchmark_page(results: Results, pictures: Sequence[Mapping[str, Any]]) -> Page:
     """Return the page of a benchmark with rows. `pictures` is the result of `show_sources`."""
-    groups, determined = results.groups, find_determined(results.rows)
-    tables = [make_examples(rows, determined) for rows in group_rows(results.rows).values()]
+    groups, tables = results.groups, group_examples(results.rows).values()
     sections = [
         Section("summary", "", {"numbers": list(_list_numbers(results)), **_list_choices(groups)}),
         Section("success", "Success"),
@@ -49,10 +48,13 @@ def make_benchmark_page(results: Results, pictures: Sequence[Mapping[str, Any]])
     ]
     data = {
         "groups": [_collect_group(group, of) for group, of in zip(groups, tables, strict=True)],
-        "methods": list(dict.fromkeys(group.method for group in groups)), "within_mm": [1e3 * m for m in WITHIN_M],
-    }  # fmt: skip
+        "methods": list(dict.fromkeys(group.method for group in groups)),
+        "within_mm": [1e3 * m for m in WITHIN_M],
+    }
     title = f"Benchmark: {results.suite.name}"
-    return Page("benchmark", title, describe_suite(results), sections, data, ["errors.js", "benchmark.js"])
+    return Page(
+        "benchmark", title, describe_suite(results), sections, data, ["errors.js", "benchmark.js"], package=__package__
+    )
 
 
 def _list_numbers(results: Results) -> Iterator[tuple[str, str, str]]:
@@ -65,7 +67,7 @@ def _list_numbers(results: Results) -> Iterator[tuple[str, str, str]]:
     yield "jobs", str(results.jobs), f"{len(results.failed)} failed"
 
 
-def _list_choices(groups: Sequence[Group]) -> dict[str, Any]:
+def _list_choices(groups: Sequence[MethodResult]) -> dict[str, Any]:
     touches = sorted({group.touches for group in groups})
     return {
         "sources": list(dict.fromkeys(group.source for group in groups)),
@@ -75,7 +77,7 @@ def _list_choices(groups: Sequence[Group]) -> dict[str, Any]:
     }
 
 
-def _collect_group(group: Group, table: ExampleTable) -> dict[str, Any]:
+def _collect_group(group: MethodResult, table: ExampleTable) -> dict[str, Any]:
     """Return the values of a group for the page's scripts, in mm, % and seconds."""
     return {
         "source": group.source,
@@ -85,9 +87,17 @@ def _collect_group(group: Group, table: ExampleTable) -> dict[str, Any]:
         "within": [100 * share for share in group.within],
         "ranges": [[100 * low, 100 * high] for low, high in group.within_range],
         "seconds": group.median_s,
-        "errors_mm": {line: sort_errors_mm(table.errors_m(line), DIGITS) for line in ("first", "listed")},
-        "bins": list(collect_bins(table)),
+        "errors_mm": {line: _sort_errors_mm(table.errors_m(line)) for line in ("first", "listed")},
+        "bins": [
+            {"stated": 100 * one.stated, "right": 100 * one.right, "examples": one.examples}
+            for one in ExampleSummary.of(table).bins
+            if one.stated is not None and one.right is not None
+        ],
     }
+
+
+def _sort_errors_mm(errors_m: NDArray[np.float64]) -> list[float]:
+    return [float(f"{min(1e3 * error, BEYOND_MM):.{DIGITS}g}") for error in np.sort(errors_m)]
 
 
 def show_sources(found: Benchmark, store: StageStore) -> Iterator[Mapping[str, Any]]:
@@ -103,14 +113,26 @@ def show_sources(found: Benchmark, store: StageStore) -> Iterator[Mapping[str, A
                 break
 
 
-def _show_touch(source: PreparedSource, name: str, examples: Examples, geometry: SensorGeometry) -> Mapping[str, Any]:
+def _show_touch(
+    source: PreparedSource, name: str, examples: DrawnTouches, geometry: SensorGeometry
+) -> Mapping[str, Any]:
     shape = examples.get_shape(int(np.argmax(examples.count > 0)), 0)
     seen = examples.picture
     return {
-        "source": source.entry.label, "object": name, "press": f"{1e3 * shape.press_depth_m:.2f} mm",
-        "photo": encode_photo(seen) if seen.ndim == 3 else None, "shape": draw_shape(shape, geometry),
-    }  # fmt: skip
+        "source": source.entry.label,
+        "object": name,
+        "press": f"{1e3 * shape.press_depth_m:.2f} mm",
+        "photo": _encode_picture(seen) if seen.ndim == 3 else None,
+        "shape": _encode_picture(paint_shape(shape, geometry)),
+    }
+
+
+def _encode_picture(picture: NDArray[np.uint8]) -> str:
+    """Return a picture (H, W, 3) as a data URI."""
+    png = io.BytesIO()
+    PIL.Image.fromarray(picture).save(png, "PNG")
+    return f"data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}"
 
 
 def _format_suite(results: Results) -> str:
-    return format_toml(results.suite.model_dump(mode="json", exclude_none=True))
+    return json.dumps(results.suite.model_dump(mode="json", exclude_none=True), indent=1)

@@ -9,14 +9,14 @@ from typing import Any
 
 from tactile_loc_benchmark.job import Row
 from tactile_loc_benchmark.suite import Suite
-from tactile_loc_benchmark.summary import Group, summarise
+from tactile_loc_benchmark.summary import MethodResult, summarise
 
 
 @dataclass(frozen=True)
 class UsedSource:
     """A source of touches, or the `problem` why it was left out. `objects` are the names of its objects.
 
-    `protocol` is a hash of everything that determines the touches: see `PreparedSource.hash_protocol`.
+    `protocol` is a hash of everything that determines the touches.
     """
 
     label: str
@@ -59,7 +59,7 @@ class Results:
     created: str
 
     @cached_property
-    def groups(self) -> list[Group]:
+    def groups(self) -> list[MethodResult]:
         """The results of each source, method and number of touches."""
         return summarise(self.rows)
 
@@ -71,8 +71,12 @@ class Results:
     @property
     def left_out(self) -> dict[str, str]:
         """The problems of the sources and methods that were not used, by label."""
-        used: list[UsedSource | UsedMethod] = [*self.sources, *self.methods]
-        return {one.label: one.problem for one in used if one.problem}
+        return find_problems([*self.sources, *self.methods])
+
+
+def find_problems(entries: Sequence[UsedSource | UsedMethod]) -> dict[str, str]:
+    """Return the problems of the sources and methods that cannot be used, by label."""
+    return {one.label: one.problem for one in entries if one.problem}
 
 
 def describe_used(entries: Sequence[UsedSource | UsedMethod]) -> dict[str, dict[str, Any]]:

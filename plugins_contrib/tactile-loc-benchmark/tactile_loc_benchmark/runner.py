@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.evaluation.jobs import JobOutcome, QueuedJob, Workers, resume_jobs
-from tactile_loc.evaluation.text_tables import require_parquet
-from tactile_loc.io.streams.records import read_versions
-from tactile_loc.store.files import require_writable
-from tactile_loc.store.keys import hash_shortly
+from tactile_loc import QueuedJob, resume_jobs
+from tactile_loc.plugin import ConfigError, ObjectModel, Progress
 
-from tactile_loc_benchmark.examples import make_sensor
+from tactile_loc_benchmark.examples import describe_libraries, make_sensor
 from tactile_loc_benchmark.job import LocatingJob, Row, describe_code
 from tactile_loc_benchmark.prepare import (
     PreparedMethod,
@@ -28,21 +26,23 @@ from tactile_loc_benchmark.prepare import (
     prepare_method,
     prepare_source,
 )
-from tactile_loc_benchmark.results import Results
-from tactile_loc_benchmark.suite import Suite
+from tactile_loc_benchmark.results import Results, find_problems
+from tactile_loc_benchmark.suite import Suite, hash_shortly
 
+LIBRARIES = ("tactile-loc", "tactile-loc-benchmark", "numpy", "numba", "scipy", "trimesh", "open3d-cpu", "open3d")
 ROW_VERSION = 2  # increase it if the same method gets other rows
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One job, and its outcome when it is done."""
+    """One job, and when it is done, what it measured or the `error` with which it ended, in one sentence."""
 
     source: PreparedSource
     object: str
     method: PreparedMethod
     job: LocatingJob
-    outcome: JobOutcome | None = None
+    measured: Mapping[str, Any] = field(default_factory=dict)
+    error: str = ""
 
     @property
     def names(self) -> dict[str, str]:
@@ -55,16 +55,10 @@ class Cell:
         return "{method} on {object} ({source})".format_map(self.names)
 
     @property
-    def error(self) -> str:
-        """The error with which the job ended, in one sentence; "" without an error."""
-        return self.outcome.error if self.outcome else ""
-
-    @property
     def rows(self) -> list[Row]:
         """The rows of a finished job, with the names of the source, the object and the method."""
-        measured = (self.outcome and self.outcome.measured) or {}
-        common = {name: measured.get(name) for name in ("diameter_m", "prepared_s")}
-        return [{**self.names, **row, **common} for row in measured.get("rows", [])]
+        common = {name: self.measured.get(name) for name in ("diameter_m", "prepared_s")}
+        return [{**self.names, **row, **common} for row in self.measured.get("rows", [])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +76,11 @@ class Benchmark:
         """The rows and failures, with what the files state about the sources and methods."""
         return Results(
             self.suite,
-            [one.describe_use(self.suite) for one in self.sources],
-            [one.describe_use() for one in self.methods],
+            [one.used for one in self.sources],
+            [one.used for one in self.methods],
             [row for cell in self.cells for row in cell.rows],
             [{**cell.names, "error": cell.error} for cell in self.failed],
-            read_versions(),
+            {"python": platform.python_version(), **describe_libraries(LIBRARIES)},
             datetime.now(UTC).isoformat(timespec="seconds"),
         )
 
@@ -95,52 +89,46 @@ class Benchmark:
         """The cells whose job ended with an error."""
         return [cell for cell in self.cells if cell.error]
 
-    @property
-    def left_out(self) -> dict[str, str]:
-        """The sources and methods that cannot be used, by label, with their problems."""
-        return find_problems(self.sources, self.methods)
 
-
-def find_problems(sources: Sequence[PreparedSource], methods: Sequence[PreparedMethod]) -> dict[str, str]:
-    """Return the problems of the sources and methods that cannot be used, by label."""
-    of_sources = {one.entry.label: one.problem for one in sources if one.problem}
-    return of_sources | {one.entry.label: one.problem for one in methods if one.problem}
-
-
-def run_benchmark(
-    suite: Suite, out: Path, store: Path, workers: Workers, progress: Progress | None = None
-) -> Benchmark:
+def run_benchmark(suite: Suite, out: Path, store: Path, workers: Any, progress: Progress | None = None) -> Benchmark:
     """Do every job of a suite that has no rows in `out`, and write each job's rows there when it is done.
 
+    `workers` are `LocalWorkers`, or others that `resume_jobs` takes. They share the stage store in the folder `store`.
     A job that fails states its error, and the next call tries it again. A source or method that cannot be used, for
-    instance because its library is missing, has no cells and states its `problem`. All workers share the stage store in
-    the folder `store`. Raises TactileLocError for a wrong suite or `out`, or if nothing can be used, before any job.
+    instance because its library is missing, has no cells and states its problem. Raises TactileLocError for a wrong
+    suite or `out`, or if nothing can be used, before any job.
     """
-    require_parquet("a benchmark")
-    require_writable(out)
+    with suppress(FileExistsError):
+        out.mkdir(parents=True)
+    if not out.is_dir() or not os.access(out, os.W_OK):
+        raise ConfigError(f"{out} is not a folder that can be written to; choose another `out`")
     progress = progress or Progress()
     sources, methods = _prepare(suite, store, progress)
     cells = list(_list_cells(suite, sources, methods, store))
     if not cells:
-        problems = "; ".join(f"{label}: {why}" for label, why in find_problems(sources, methods).items())
+        left_out = find_problems([*(source.used for source in sources), *(method.used for method in methods)])
+        problems = "; ".join(f"{label}: {why}" for label, why in left_out.items())
         raise ConfigError(f"the suite {suite.name!r} has no source and method that can be used: {problems}")
     queue = [
         QueuedJob(cell.job, cell.source.objects[cell.object], cell.name, cell.names)
         for cell in _order_for_running(cells)
     ]
     outcomes, done = resume_jobs("benchmark", queue, out, workers, progress)
-    ended = [dataclasses.replace(cell, outcome=outcomes[cell.job.key]) for cell in cells]
+    ended = []
+    for cell in cells:
+        outcome = outcomes[cell.job.key]
+        ended.append(dataclasses.replace(cell, measured=outcome.measured or {}, error=outcome.error))
     return Benchmark(suite, sources, methods, ended, done)
 
 
 def _prepare(suite: Suite, store: Path, progress: Progress) -> tuple[list[PreparedSource], list[PreparedMethod]]:
-    objects = load_objects(suite.objects, store)
+    objects = load_objects(suite.objects)
     methods = [prepare_method(entry) for entry in suite.method]
     sources = []
     with progress.task("preparing the sensors", len(suite.source)) as advance:
         for entry in suite.source:
             progress.note(entry.label)
-            sources.append(prepare_source(entry, objects, store, suite.data))
+            sources.append(prepare_source(entry, objects, suite, store))
             advance(1)
     return sources, methods
 
@@ -151,7 +139,7 @@ def _list_cells(
     for source in sources:
         for name, obj in source.objects.items():
             for method in methods:
-                if not method.problem:
+                if not method.used.problem:
                     code = describe_code(source.entry, method.entry)
                     key = _make_key(suite, source, obj, method, code)
                     job = LocatingJob(key, store, suite, source.entry, method.entry, source.table, code)
@@ -163,13 +151,19 @@ def _make_key(
 ) -> str:
     """Return a hash of all inputs of a cell's rows; the other sources and methods of the suite do not matter."""
     sensor = make_sensor(source.table)
-    return hash_shortly({
-        "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "suite": suite.describe_protocol(),
-        "source": source.described, "method": method.described,
-        "libraries": {**source.libraries, **method.libraries}, "code": code,
-        "sensor": {**sensor.describe(), "geometry": sensor.geometry.describe()},
-        "object": {"name": obj.name, **obj.describe()},
-    })  # fmt: skip
+    return hash_shortly(
+        {
+            "version": ROW_VERSION,
+            "tactile-loc": version("tactile-loc"),
+            "suite": suite.describe_protocol(),
+            "source": source.described,
+            "method": method.described,
+            "libraries": {**source.used.libraries, **method.used.libraries},
+            "code": code,
+            "sensor": {**sensor.describe(), "geometry": sensor.geometry.describe()},
+            "object": {"name": obj.name, **obj.describe()},
+        }
+    )
 
 
 def _order_for_running(cells: Sequence[Cell]) -> list[Cell]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from importlib.resources import files
@@ -9,26 +12,16 @@ from pathlib import Path
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from tactile_loc.core.runtime.errors import (
-    ConfigError,
-    MissingLibraryError,
-    UnknownPluginError,
-    did_you_mean,
-    name_source,
-)
-from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation.fusion import MOST_FUSED
-from tactile_loc.io.config import ObjectConfig
-from tactile_loc.io.toml import explain, read_toml
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.keys import hash_code
+from tactile_loc import DEMO_OBJECTS, TactileLocError, Units, hash_code
+from tactile_loc.plugin import ConfigError, MissingLibraryError, did_you_mean, registry
 
 SUITES, SPLITS = "suites", "objects.toml"
 OWN = __name__.partition(".")[0]
+MOST_TOUCHES = 20  # that are located together
 HERE = "data:"  # a path of a mesh or of recordings that begins with this word is in the folder `data` of a suite
 
 
-class Entry(BaseModel):
+class SuiteEntry(BaseModel):
     """A touch source or a method of a suite: a component with its options, and a `label` for tables."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -49,6 +42,16 @@ class Entry(BaseModel):
         return table
 
 
+class SuiteObject(BaseModel):
+    """An object of a suite: the name of a demo object or a mesh file, with its units and its symmetry."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    path: str
+    units: Units = "auto"
+    symmetry: str = "auto"
+
+
 class Suite(BaseModel):
     """What a benchmark measures.
 
@@ -62,14 +65,14 @@ class Suite(BaseModel):
 
     name: str = Field(description="a text")
     summary: str = Field(default="", description="a text")
-    objects: tuple[ObjectConfig, ...] = Field(min_length=1, description="a list of objects, or the name of a split")
-    touches: tuple[int, ...] = Field(min_length=1, description=f"a list of whole numbers, 1 to {MOST_FUSED}")
+    objects: tuple[SuiteObject, ...] = Field(min_length=1, description="a list of objects, or the name of a split")
+    touches: tuple[int, ...] = Field(min_length=1, description=f"a list of whole numbers, 1 to {MOST_TOUCHES}")
     examples: int = Field(ge=1, description="a whole number, 1 or more")
     seed: int = Field(ge=0, description="a whole number, 0 or more")
     press: tuple[float, float] = Field(default=(0.3, 0.9), description="two shares of the deepest press, 0 to 1")
     data: Path | None = Field(default=None, description="a folder")
-    source: tuple[Entry, ...] = Field(min_length=1, description="one or more tables [[source]]")
-    method: tuple[Entry, ...] = Field(min_length=1, description="one or more tables [[method]]")
+    source: tuple[SuiteEntry, ...] = Field(min_length=1, description="one or more tables [[source]]")
+    method: tuple[SuiteEntry, ...] = Field(min_length=1, description="one or more tables [[method]]")
 
     @classmethod
     def from_toml(cls, suite: str | Path, data: Path | None = None) -> Self:
@@ -79,20 +82,22 @@ class Suite(BaseModel):
         component whose library is missing is no error.
         """
         path = _find_suite(suite)
-        with name_source(path):
-            return cls.from_values(read_toml(path), str(path), data)
+        return cls.from_values(_read_toml(path), str(path), data)
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any], source: str, data: Path | None = None) -> Self:
         """Make a suite from the values of a TOML file. `source` names the file in messages."""
-        values = {**values, "objects": _read_objects(values.get("objects"), data), "data": data}
+        values = {**values, "data": data}
         try:
+            values["objects"] = _read_objects(values.get("objects"), data)
             suite = cls(**values)
         except ValidationError as error:
-            raise ConfigError(f"{source}: {explain(error, cls, values, 'a suite')}") from error
-        if not all(1 <= n <= MOST_FUSED for n in suite.touches):
+            raise ConfigError(f"{source}: {_explain(error, values)}") from error
+        except ConfigError as error:
+            raise ConfigError(f"{source}: {error}") from error
+        if not all(1 <= n <= MOST_TOUCHES for n in suite.touches):
             numbers = list(suite.touches)
-            raise ConfigError(f"{source}: touches = {numbers} is wrong; give numbers from 1 to {MOST_FUSED}")
+            raise ConfigError(f"{source}: touches = {numbers} is wrong; give numbers from 1 to {MOST_TOUCHES}")
         if not 0 < suite.press[0] <= suite.press[1] <= 1:
             raise ConfigError(f"{source}: press = {list(suite.press)} is wrong; give two shares, 0 to 1, in order")
         for kind, entries in (("touch-source", suite.source), ("method", suite.method)):
@@ -105,10 +110,12 @@ class Suite(BaseModel):
         Raises UnknownPluginError if a word is neither a label nor a component's name, and ConfigError if an added
         component needs options.
         """
-        return self.model_copy(update={
-            "source": self.source if sources is None else _choose("touch-source", self.source, sources),
-            "method": self.method if methods is None else _choose("method", self.method, methods),
-        })  # fmt: skip
+        return self.model_copy(
+            update={
+                "source": self.source if sources is None else _choose("touch-source", self.source, sources),
+                "method": self.method if methods is None else _choose("method", self.method, methods),
+            }
+        )
 
     def describe_protocol(self) -> dict[str, Any]:
         """Return what determines the touches of a source, besides the source and the objects, as JSON values."""
@@ -123,7 +130,7 @@ def list_suites() -> list[str]:
 
 def read_split(name: str) -> list[Any]:
     """Return the objects of a split, as written in the file of splits. Raises ConfigError for another name."""
-    splits = read_toml(str(files(__package__) / SUITES / SPLITS))
+    splits = _read_toml(Path(str(files(__package__) / SUITES / SPLITS)))
     if name not in splits:
         raise ConfigError(f"there is no split {name!r}.{did_you_mean(name, splits)} Known: {', '.join(splits)}")
     return list(splits[name])
@@ -140,6 +147,25 @@ def _find_suite(suite: str | Path) -> Path:
     if "/" in str(suite) or str(suite).endswith(".toml"):
         return Path(suite)
     raise ConfigError(f"there is no suite {str(suite)!r}.{did_you_mean(str(suite), known)} Known: {', '.join(known)}")
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read ({error.strerror}); check the path") from error
+    except ValueError as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}") from error
+
+
+def _explain(error: ValidationError, values: Mapping[str, Any]) -> str:
+    """Return a sentence about the first wrong key of a suite; unknown keys come before wrong values."""
+    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    key, known = str(problems[0]["loc"][0]), Suite.model_fields
+    if key not in known:
+        return f"a suite has no key {key!r}.{did_you_mean(key, known)} Known: {', '.join(known)}"
+    fault = f"{key} = {values[key]!r} is wrong" if key in values else f"{key} is missing"
+    return f"{fault}; it must be {known[key].description}"
 
 
 def _read_objects(entries: Any, data: Path | None) -> Any:
@@ -167,31 +193,40 @@ def find_in_data(path: str, data: Path | None) -> str:
     return str(data.expanduser().absolute() / path.removeprefix(HERE))
 
 
-def _require_entries(kind: str, entries: Iterable[Entry], source: str) -> None:
+def _require_entries(kind: str, entries: Iterable[SuiteEntry], source: str) -> None:
     """Raise TactileLocError if a component is unknown or an option is wrong; a missing library is no error."""
     labels: set[str] = set()
     for entry in entries:
         if entry.label in labels:
             raise ConfigError(f"{source}: two entries are called {entry.label!r}; give each {kind} a label of its own")
         labels.add(entry.label)
-        with suppress(MissingLibraryError), name_source(source):
-            create(kind, entry)
+        try:
+            with suppress(MissingLibraryError):
+                create(kind, entry)
+        except TactileLocError as error:
+            raise type(error)(f"{source}: {error}") from error
 
 
-def _choose(kind: str, entries: Iterable[Entry], words: Iterable[str]) -> tuple[Entry, ...]:
+def _choose(kind: str, entries: Iterable[SuiteEntry], words: Iterable[str]) -> tuple[SuiteEntry, ...]:
     known = {entry.label: entry for entry in entries}
     chosen = []
     for word in words:
-        entry = known.get(word) or Entry(name=word, label=word)
+        entry = known.get(word) or SuiteEntry(name=word, label=word)
         try:
             _require_entries(kind, [entry], "the benchmark")
-        except UnknownPluginError as error:
-            raise UnknownPluginError(f"{error}. Labels in the suite: {', '.join(known)}") from error
+        except TactileLocError as error:
+            raise type(error)(f"{error}. Labels in the suite: {', '.join(known)}") from error
         chosen.append(entry)
     return tuple({entry.label: entry for entry in chosen}.values())
 
 
-def hash_component_code(kind: str, entry: Entry) -> str:
+def hash_shortly(values: Mapping[str, Any]) -> str:
+    """Return the first 16 hexadecimal digits of the SHA-256 of JSON values."""
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def hash_component_code(kind: str, entry: SuiteEntry) -> str:
     """Return a hash of the code of an entry's component: of the package that its plugin installs.
 
     For a component of this benchmark, it is the package that contains the component's module. Raises TactileLocError.
@@ -201,6 +236,6 @@ def hash_component_code(kind: str, entry: Entry) -> str:
     return hash_code(module.rpartition(".")[0] if package == OWN else package)
 
 
-def create(kind: str, entry: Entry) -> Any:
+def create(kind: str, entry: SuiteEntry) -> Any:
     """Return the component of an entry. Raises TactileLocError if it cannot be made."""
     return registry().create(kind, entry.name, entry.options)

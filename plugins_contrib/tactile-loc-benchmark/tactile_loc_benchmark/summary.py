@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.evaluation.metrics import METRICS
-from tactile_loc.evaluation.summary import ExampleSummary, find_median, find_right
-from tactile_loc.evaluation.table import ExampleTable
-from tactile_loc.evaluation.text_tables import format_share
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc import ExampleSummary, ExampleTable, Verdict
 
-from tactile_loc_benchmark.job import Row
+from tactile_loc_benchmark.job import METRICS, RIGHT_M, Row
 
 WITHIN_M = (0.5e-3, 1e-3, 2e-3, 5e-3)
 RESAMPLED, RANGE = 1000, (2.5, 97.5)  # number of bootstrap samples; percentiles of the interval
@@ -25,7 +21,7 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Group:
+class MethodResult:
     """The results of one method with touches of one source: E examples of several objects.
 
     Shares are 0 to 1, lengths in metres. `within` and `listed_within` are the shares of examples whose first pose, or
@@ -64,102 +60,76 @@ class Group:
         return asdict(self)
 
     @classmethod
-    def read(cls, values: Mapping[str, Any]) -> Group:
+    def read(cls, values: Mapping[str, Any]) -> MethodResult:
         """Return the group of `describe`. Raises TypeError if values are missing or unknown."""
         known = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
         return cls(**known | {"within_range": tuple(map(tuple, values.get("within_range", ())))})
 
 
-def summarise(rows: Sequence[Row]) -> list[Group]:
+def summarise(rows: Sequence[Row]) -> list[MethodResult]:
     """Return the group of each source, method and number of touches, in the order of the rows."""
-    determined = find_determined(rows)
-    return [_summarise(*key, some, determined) for key, some in group_rows(rows).items()]
+    groups = group_examples(rows).items()
+    return [_summarise(source, method, touches, table) for (source, method, touches), table in groups]
 
 
-def group_rows(rows: Iterable[Row]) -> dict[tuple[str, str, int], list[Row]]:
-    """Return the rows of each source, method and number of touches, in the order of the rows."""
-    found: dict[tuple[str, str, int], list[Row]] = {}
-    for row in rows:
-        found.setdefault((row["source"], row["method"], row["touches"]), []).append(row)
-    return found
+def group_examples(rows: Sequence[Row]) -> dict[tuple[Any, ...], ExampleTable]:
+    """Return the examples of each source, method and number of touches, in the order of the rows.
 
-
-def format_within(group: Group, number: int) -> str:
-    """Return the share within WITHIN_M[number] with its interval, in %."""
-    low, high = group.within_range[number]
-    return f"{format_share(group.within[number])} ({100 * low:.0f} to {100 * high:.0f})"
-
-
-def find_determined(rows: Iterable[Row]) -> dict[tuple[str, str, int, int], bool]:
-    """Return whether touches determine the pose, by source, object, example and number of touches.
-
-    They do not if any method lists a wrong pose that explains them as well as the true pose.
+    The table's column `encoder` is the method, and `noise` the source. Touches do not determine the pose if any method
+    lists a wrong pose that explains them as well as the true pose.
     """
-    found: dict[tuple[str, str, int, int], bool] = {}
-    for row in rows:
-        key = name_example(row)
-        found[key] = found.get(key, True) and bool(row.get("determined", True))
-    return found
-
-
-def name_example(row: Row) -> tuple[str, str, int, int]:
-    """Return the key of a row's example: source, object, example and number of touches."""
-    return row["source"], row["object"], row["example"], row["touches"]
-
-
-def make_examples(rows: Sequence[Row], determined: dict[tuple[str, str, int, int], bool]) -> ExampleTable:
-    """Return rows of one group as a table of examples: `encoder` is the method, and `noise` the source."""
-    errors = {
-        f"{line} {metric}_m": f"{prefix}{metric}_mm"
-        for line, prefix in (("first", ""), ("listed", "listed_"))
-        for metric in METRICS
-    }
-    return ExampleTable.of_rows(
+    if not rows:
+        return {}
+    errors = {f"first {m}_m": f"{m}_mm" for m in METRICS} | {f"listed {m}_m": f"listed_{m}_mm" for m in METRICS}
+    ambiguous = {_name_example(row) for row in rows if not row.get("determined", True)}
+    table = ExampleTable.of_rows(
         [
             {
                 **{name: 1e-3 * row.get(measured, np.inf) for name, measured in errors.items()},
-                **{name: row.get(name) for name in ("probability", "seconds", "diameter_m")},
+                **{name: row.get(name) for name in ("probability", "covered", "seconds", "diameter_m")},
                 **{name: row.get(name, "") for name in ("verdict", "problem")},
                 **{name: row[name] for name in ("object", "example", "touches", "refused")},
                 "encoder": row["method"],
                 "noise": row["source"],
                 "seed": -1,
-                "determined": determined[name_example(row)],
+                "determined": _name_example(row) not in ambiguous,
             }
             for row in rows
         ]
     )
+    return table.group("noise", "encoder", "touches")
 
 
-def _summarise(
-    source: str, method: str, touches: int, rows: Sequence[Row], determined: dict[tuple[str, str, int, int], bool]
-) -> Group:
-    found = make_examples(rows, determined)
-    summary, right = ExampleSummary.of(found, WITHIN_M), find_right(found)
-    inside = (found.errors_m()[:, None] < np.array(WITHIN_M)).astype(float)
-    certain = found["verdict"] == Verdict.CERTAIN.value
-    covered = [row["covered"] for row in rows if row.get("covered") is not None]
-    return Group(
-        source,
-        method,
-        touches,
-        summary.examples,
-        summary.within,
-        bootstrap(inside, found["object"], lambda some: some.mean(axis=0)),
-        summary.listed_within,
-        summary.auc,
-        summary.average_recall_mssd,
-        summary.median_m,
-        summary.determined,
-        summary.determined_right,
-        find_median(found.errors_m()[found["determined"]]),
-        measure_calibration_error(summary),
-        float(np.mean(covered)) if covered else None,
-        int(certain.sum()),
-        int((certain & right).sum()),
-        found.count_refused(),
-        int((found["problem"] != "").sum()),
-        summary.median_s,
+def _name_example(row: Row) -> tuple[str, str, int, int]:
+    return row["source"], row["object"], row["example"], row["touches"]
+
+
+def _summarise(source: str, method: str, touches: int, table: ExampleTable) -> MethodResult:
+    summary, errors_m = ExampleSummary.of(table, WITHIN_M), table.errors_m()
+    inside = (errors_m[:, None] < np.array(WITHIN_M)).astype(float)
+    certain, covered = table["verdict"] == Verdict.CERTAIN.value, table["covered"].astype(float)
+    determined_m = float(np.median(errors_m[table["determined"]])) if summary.determined else np.inf
+    return MethodResult(
+        source=source,
+        method=method,
+        touches=touches,
+        examples=summary.examples,
+        within=summary.within,
+        within_range=bootstrap(inside, table["object"], lambda some: some.mean(axis=0)),
+        listed_within=summary.listed_within,
+        auc=summary.auc,
+        average_recall_mssd=summary.average_recall_mssd,
+        median_m=summary.median_m,
+        determined=summary.determined,
+        determined_within_1_mm=summary.determined_right,
+        median_determined_m=determined_m if np.isfinite(determined_m) else None,
+        calibration_error=measure_calibration_error(summary),
+        covered=float(np.nanmean(covered)) if np.isfinite(covered).any() else None,
+        certain=int(certain.sum()),
+        certain_right=int((certain & (errors_m < RIGHT_M)).sum()),
+        refused=table.count_refused(),
+        unlocated=int((table["problem"] != "").sum()),
+        median_s=summary.median_s,
     )
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from tactile_loc.slots.registry import ComponentSpec, hookimpl, registry
+from tactile_loc.plugin import ComponentSpec, hookimpl, registry
 
 MOVING = """\
 import numpy as np

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from bench_fakes import offer_fakes
 from bench_parts import BOX_CORNERS_M, BOX_FACES
-from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.evaluation.jobs import Job, JobOutcomes, do_job
+from tactile_loc.plugin import ObjectModel
 
 from tactile_loc_benchmark.runner import Benchmark, run_benchmark
 from tactile_loc_benchmark.suite import Suite
@@ -53,10 +53,15 @@ def make_suite(box_file: Path) -> Callable[..., Suite]:
 
     def make(**changes: Any) -> Suite:
         values: dict[str, Any] = {
-            "name": "small", "summary": "A box",
+            "name": "small",
+            "summary": "A box",
             "objects": [{"path": str(box_file), "units": "mm", "symmetry": "none"}],
-            "touches": [1, 2], "examples": 3, "seed": 7, "source": ["sketch"], "method": ["oracle", "guess"],
-        }  # fmt: skip
+            "touches": [1, 2],
+            "examples": 3,
+            "seed": 7,
+            "source": ["sketch"],
+            "method": ["oracle", "guess"],
+        }
         return Suite.from_values({**values, **changes}, "small.toml")
 
     return make

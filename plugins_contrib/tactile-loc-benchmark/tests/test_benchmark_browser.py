@@ -12,7 +12,7 @@ from tactile_loc.reports.report import write_page
 
 from tactile_loc_benchmark.page import make_benchmark_page
 from tactile_loc_benchmark.results import Results
-from tactile_loc_benchmark.summary import WITHIN_M, Group
+from tactile_loc_benchmark.summary import WITHIN_M, MethodResult
 
 PLOTS = {"success-plot", "curves-plot", "reliability-plot", "times-plot"}
 
@@ -40,7 +40,7 @@ def read_traces(browser: Any, plot: str) -> list[dict[str, Any]]:
     return list(browser.execute_script(script, plot))
 
 
-def select(results: Results, source: str, method: str) -> list[Group]:
+def select(results: Results, source: str, method: str) -> list[MethodResult]:
     return [group for group in results.groups if (group.source, group.method) == (source, method)]
 
 

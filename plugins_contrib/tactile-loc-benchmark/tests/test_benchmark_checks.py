@@ -109,7 +109,7 @@ BROKEN_SOURCES = [
     (touch_sources.check_recorded_touches, Kept()),
     (touch_sources.check_recorded_touches, then(Kept, "read_touches", lambda *_: [])),
     (touch_sources.check_recorded_touches, then(Kept, "read_touches", grow)),
-]  # fmt: skip
+]
 
 
 class AheadOfSensor(Method):
@@ -147,9 +147,8 @@ BROKEN_METHODS = [
     (methods.check_inputs_untouched, answering(lambda a, t: scribble_touch(a, t[1]))),
     (methods.check_base_frame, answering(in_sensor_frame)),
     (methods.check_nearly_empty_contact, answering(fails_on_few_pixels)),
-    (methods.check_same_again,
-     drifting(AheadOfSensor, "locate", lambda a, n: replace(a, scores=a.scores * (1 + n)))),
-]  # fmt: skip
+    (methods.check_same_again, drifting(AheadOfSensor, "locate", lambda a, n: replace(a, scores=a.scores * (1 + n)))),
+]
 
 
 def create(slot: str, *names: str, **options: Any) -> list[Any]:

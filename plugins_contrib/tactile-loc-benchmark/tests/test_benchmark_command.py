@@ -36,8 +36,15 @@ label = "photos"
 name = "guess"
 """
 FILES = {
-    "benchmark.json", "benchmark.md", "bop", "leaderboard.json", "report.html", "rows", "rows.parquet", "workers.log"
-}  # fmt: skip
+    "benchmark.json",
+    "benchmark.md",
+    "bop",
+    "leaderboard.json",
+    "report.html",
+    "rows",
+    "rows.parquet",
+    "workers.log",
+}
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -97,8 +104,10 @@ def test_a_method_of_a_plugin_is_added_and_a_failure_has_exit_code_1(cli, tmp_pa
 def test_the_labels_of_a_suite_are_listed_without_running_it(cli, tmp_path):
     shown = succeed(cli("benchmark", "--suite", "tiny.toml", "--list"))
     assert [line.split() for line in shown.stdout.splitlines()[1:]] == [
-        ["source", "sketch", "sketch"], ["source", "photos", "library-source"], ["method", "guess", "guess"],
-    ]  # fmt: skip
+        ["source", "sketch", "sketch"],
+        ["source", "photos", "library-source"],
+        ["method", "guess", "guess"],
+    ]
     report = json.loads(cli("benchmark", "--suite", "tiny.toml", "--list", "--source", "sketch", "--json").stdout)
     assert report["sources"] == [{"label": "sketch", "name": "sketch"}]
     assert not (tmp_path / "benchmark").exists()
@@ -128,9 +137,14 @@ def start(tmp_path: Path, out: str) -> subprocess.Popen[str]:
     """Start a benchmark with four jobs of some seconds."""
     line = command("benchmark", "--suite", "tiny.toml", "--workers", "1", "--out", out, "--source", "sketch")
     return subprocess.Popen(
-        line, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "TACTILE_LOC_STORE": str(tmp_path / "store")}, start_new_session=True,
-    )  # fmt: skip
+        line,
+        cwd=tmp_path,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "TACTILE_LOC_STORE": str(tmp_path / "store")},
+        start_new_session=True,
+    )
 
 
 def read_table(folder: Path) -> list[dict[str, Any]]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tactile_loc.core.geometry.rigid import is_rigid, rotation_angle
-from tactile_loc.store.store import StageStore
+from tactile_loc import StageStore
+from tactile_loc.plugin import is_rigid, rotation_angle
 
-from tactile_loc_benchmark.examples import ExampleDrawer, Examples
+from tactile_loc_benchmark.examples import DrawnTouches, ExampleDrawer
 from tactile_loc_benchmark.prepare import load_objects, prepare_source
 
 
@@ -15,12 +15,12 @@ from tactile_loc_benchmark.prepare import load_objects, prepare_source
 def draw(make_suite, bench_store):
     """Draw the examples of the only object of a source's entry; keywords replace values of the suite."""
 
-    def draw(entry: object, **changes: object) -> Examples:
+    def draw(entry: object, **changes: object) -> DrawnTouches:
         return make_drawer(entry, **changes).load(StageStore(bench_store))
 
     def make_drawer(entry: object, **changes: object) -> ExampleDrawer:
         suite = make_suite(source=[entry], **changes)
-        source = prepare_source(suite.source[0], load_objects(suite.objects, bench_store), bench_store)
+        source = prepare_source(suite.source[0], load_objects(suite.objects), suite, bench_store)
         (obj,) = source.objects.values()
         return ExampleDrawer(suite, source.entry, source.table, obj)
 

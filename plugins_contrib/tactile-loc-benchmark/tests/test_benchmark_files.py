@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import pytest
-from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.evaluation.text_tables import read_parquet
+from tactile_loc.plugin import ConfigError
 
 from tactile_loc_benchmark.files import HEAD, tabulate, write_benchmark
 from tactile_loc_benchmark.leaderboard import read_standings
+from tactile_loc_benchmark.prepare import hash_protocol
+from tactile_loc_benchmark.suite import create
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def test_the_table_has_a_row_for_each_group(finished):
 
 def test_the_markdown_has_a_row_for_what_was_left_out(written, finished):
     text = (written / "benchmark.md").read_text()
-    for label, problem in finished.left_out.items():
+    for label, problem in finished.results.left_out.items():
         (line,) = [line for line in text.splitlines() if line.startswith(f"| {label} |")]
         assert problem in line
     assert "public domain" in text
@@ -65,14 +66,12 @@ def test_a_leaderboard_file_is_read_back_and_names_no_path(written, finished, bo
 
 
 def test_only_the_protocol_the_source_and_the_objects_change_the_hash(finished, make_suite):
-    source, suite = finished.sources[0], finished.suite
-    known = source.hash_protocol(suite)
-    assert source.hash_protocol(make_suite(method=["guess"])) == known
-    assert source.hash_protocol(make_suite(seed=8)) != known
-    assert finished.sources[1].hash_protocol(suite) != known
-    assert replace(source, libraries={"numpy": "9"}).hash_protocol(suite) == known
-    elsewhere = replace(source, entry=source.entry.model_copy(update={"options": {"data": "/somewhere/else"}}))
-    assert elsewhere.hash_protocol(suite) == known
+    prepared, known = finished.sources[0], finished.sources[0].used.protocol
+    source = create("touch-source", prepared.entry)
+    elsewhere = prepared.entry.model_copy(update={"options": {"data": "/somewhere/else"}})
+    assert hash_protocol(make_suite(method=["guess"]), elsewhere, source, prepared.objects) == known
+    assert hash_protocol(make_suite(seed=8), prepared.entry, source, prepared.objects) != known
+    assert finished.sources[1].used.protocol != known
 
 
 @pytest.mark.parametrize("change", [{"schema_version": 0}, {"groups": [{}]}, {"sources": {}}])
@@ -80,5 +79,5 @@ def test_a_damaged_leaderboard_file_gives_an_error(written, tmp_path, change):
     document = json.loads((written / "leaderboard.json").read_text())
     path = tmp_path / "leaderboard.json"
     path.write_text(json.dumps({**document, **change}))
-    with pytest.raises(ResultError, match=r"leaderboard\.json"):
+    with pytest.raises(ConfigError, match=r"leaderboard\.json"):
         list(read_standings(path))

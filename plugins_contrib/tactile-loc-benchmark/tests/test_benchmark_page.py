@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 from report_helpers import UNFRIENDLY, Elements
-from tactile_loc.core.runtime.errors import ResultError
+from tactile_loc import StageStore, TactileLocError
 from tactile_loc.reports.page import Page, render
-from tactile_loc.store.store import StageStore
 
 from tactile_loc_benchmark.files import (
     read_benchmark,
@@ -67,15 +66,21 @@ def test_the_files_make_the_same_page(page, finished, bench_store, tmp_path):
     assert render(again) == render(page)
 
 
-@pytest.mark.parametrize(("name", "content"), [
-    ("rows.parquet", None), ("rows.parquet", b"no table"), ("benchmark.json", b"{}"), ("benchmark.json", b"[1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("rows.parquet", None),
+        ("rows.parquet", b"no table"),
+        ("benchmark.json", b"{}"),
+        ("benchmark.json", b"[1"),
+    ],
+)
 def test_missing_or_damaged_files_are_refused(finished, tmp_path, name, content):
     write_benchmark(tmp_path, finished.results)
     (tmp_path / name).unlink()
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(ResultError, match=naming(name)):
+    with pytest.raises(TactileLocError, match=naming(name)):
         read_benchmark(tmp_path)
 
 

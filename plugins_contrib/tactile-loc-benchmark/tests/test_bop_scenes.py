@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tactile_loc.evaluation.recall.bop import write_bop
 
-from tactile_loc_benchmark.bop_scenes import make_scenes
+from tactile_loc_benchmark.files import make_scenes
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +25,10 @@ def test_there_is_a_file_for_each_method_and_number_of_touches(root):
     ids = json.loads((root / "ids.json").read_text())
     assert {one["file"] for one in ids["results"]} == names
     assert [(one["source"], one["object"]) for one in ids["scenes"]] == [
-        ("sketch", "brick"), ("shy", "brick"), ("archive", "brick"),
-    ]  # fmt: skip
+        ("sketch", "brick"),
+        ("shy", "brick"),
+        ("archive", "brick"),
+    ]
 
 
 def test_the_rows_are_the_listed_poses_and_the_truth_is_that_of_the_examples(root, finished):

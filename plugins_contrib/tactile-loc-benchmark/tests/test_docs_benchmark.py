@@ -16,11 +16,8 @@ import pytest
 from bench_fakes import offer_fakes
 from bench_parts import SENSOR, Archive
 from message_helpers import missing
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.text_tables import read_parquet
-from tactile_loc.plugin import invert, make_contact_cloud, transform_points
-from tactile_loc.slots.registry import registry
+from tactile_loc import RobotTouches, read_parquet
+from tactile_loc.plugin import SensorGeometry, invert, make_contact_cloud, registry, transform_points
 from tactile_loc.testing.problems import ReferenceRenderer
 from tactile_loc_cli.main import app
 from typer.main import get_command

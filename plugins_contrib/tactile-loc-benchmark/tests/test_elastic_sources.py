@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import deform_gel
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.plugin import SensorGeometry
 
 PX, PITCH_M, PRESS_M, NU = 48, 0.2e-3, 0.4e-3, 0.45
 BALL_M = 4e-3
@@ -32,7 +32,7 @@ def deform(gel: Gel) -> np.ndarray:
 def test_the_layer_agrees_with_tactile_loc():
     layer = pytest.importorskip("tactile_loc_benchmark.sources.layer", exc_type=ImportError)
     gel = Gel(3e-3, NU)
-    theirs = np.clip(layer.press_layer(reach_of_ball(), CAMERA, gel), 0, PRESS_M)
+    theirs = np.clip(layer.press_layer(reach_of_ball(), CAMERA, 3e-3, NU), 0, PRESS_M)
     assert np.abs(theirs - deform(gel)).max() < 0.02 * PRESS_M
 
 

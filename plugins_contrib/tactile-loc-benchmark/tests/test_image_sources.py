@@ -8,17 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tactile_loc.core.geometry.rigid import transform_points
-from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, MissingLibraryError
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.slots.registry import registry
+from tactile_loc.core.runtime.errors import SensorError
+from tactile_loc.plugin import ConfigError, MissingLibraryError, SensorGeometry, registry, transform_points
 from tactile_loc.testing import list_checks
 
-from tactile_loc_benchmark.prepare import prepare_source
 from tactile_loc_benchmark.sources.calibrating import BallPresses, press_ball
 from tactile_loc_benchmark.sources.gelslim_shapes import GelslimShapes, make_camera, place_prism
-from tactile_loc_benchmark.sources.simulated import SimulatedTouches
-from tactile_loc_benchmark.suite import Entry
+from tactile_loc_benchmark.sources.simulated import RenderedTouches
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "tactile"
 CAMERA = SensorGeometry("orthographic", 80, 60, 4e3, 4e3, 40, 30, 10e-3, 1e-3)
@@ -42,8 +38,8 @@ def test_balls_are_pressed_as_deep_as_stated_and_first_not_at_all():
 
 
 def test_a_source_of_contact_shapes_has_nothing_to_calibrate():
-    with pytest.raises(CalibrationError):
-        press_ball(SimulatedTouches(), CAMERA, BallPresses(count=5, depth_m=(0.5e-3, 0.6e-3)))
+    with pytest.raises(SensorError):
+        press_ball(RenderedTouches(), CAMERA, BallPresses(count=5, depth_m=(0.5e-3, 0.6e-3)))
 
 
 def test_the_prism_is_where_its_pose_in_the_image_says():
@@ -61,12 +57,6 @@ def test_the_prism_is_where_its_pose_in_the_image_says():
 def test_a_missing_recording_is_an_error():
     with pytest.raises(ConfigError, match="gelslim_shapes"):
         GelslimShapes(GelslimShapes.Options(data="nowhere")).find_objects()
-
-
-def test_the_folder_of_data_is_put_into_the_options_of_sources(tmp_path):
-    entry = Entry(name="gelslim-shapes", label="real", options={"data": "data:tactile"})
-    assert prepare_source(entry, {}, tmp_path / "store", tmp_path).entry.options == {"data": str(tmp_path / "tactile")}
-    assert "`data`" in prepare_source(entry, {}, tmp_path / "store").problem
 
 
 def test_a_missing_library_is_named_with_the_line_that_installs_it():

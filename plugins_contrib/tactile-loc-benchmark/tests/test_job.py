@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from message_helpers import naming
-from tactile_loc.core.runtime.errors import AnswerError
+from tactile_loc.plugin import AnswerError
 
 from tactile_loc_benchmark.interfaces import ScoredPoses
 
@@ -44,10 +44,14 @@ def test_a_method_without_a_pose_gives_rows_and_no_error(run_small):
 @pytest.mark.parametrize(
     ("fault", "says"),
     [
-        ("nothing", "NoneType"), ("shape", "(4, 4)"), ("nan", "finite"), ("mirror", "rigid"), ("words", "scores"),
+        ("nothing", "NoneType"),
+        ("shape", "(4, 4)"),
+        ("nan", "finite"),
+        ("mirror", "rigid"),
+        ("words", "scores"),
         ("surer than sure", "2"),
     ],
-)  # fmt: skip
+)
 def test_an_answer_that_is_none_gives_one_clear_error(run_small, tmp_path, fault, says):
     found = run_small(tmp_path, method=[{"name": "guess", "fault": fault}])
     (cell,) = found.failed
@@ -57,11 +61,20 @@ def test_an_answer_that_is_none_gives_one_clear_error(run_small, tmp_path, fault
     assert not (tmp_path / "errors").exists(), "a mistake of the method needs no traceback of ours"
 
 
-@pytest.mark.parametrize(("T", "scores", "p"), [
-    (np.eye(4), [1.0], None), (np.eye(4)[None], [1.0, 2.0], None), (np.zeros((0, 4, 4)), [], None),
-    (np.eye(4)[None], [np.nan], None), (np.eye(4)[None], [1.0], [-0.1]), (np.eye(4)[None], [1.0], [0.5, 0.5]),
-    (1.1 * np.eye(4)[None], [1.0], None), (None, [1.0], None), (np.eye(4)[None], None, None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("T", "scores", "p"),
+    [
+        (np.eye(4), [1.0], None),
+        (np.eye(4)[None], [1.0, 2.0], None),
+        (np.zeros((0, 4, 4)), [], None),
+        (np.eye(4)[None], [np.nan], None),
+        (np.eye(4)[None], [1.0], [-0.1]),
+        (np.eye(4)[None], [1.0], [0.5, 0.5]),
+        (1.1 * np.eye(4)[None], [1.0], None),
+        (None, [1.0], None),
+        (np.eye(4)[None], None, None),
+    ],
+)
 def test_impossible_answers_are_refused(T, scores, p):
     with pytest.raises(AnswerError, match=naming("a method returned")):
         ScoredPoses(T, scores, p)

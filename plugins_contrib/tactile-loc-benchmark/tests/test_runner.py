@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 from message_helpers import missing, naming
-from tactile_loc.core.runtime.errors import ConfigError, OutputError
 from tactile_loc.evaluation.jobs import do_job
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import ConfigError, registry
 from tactile_loc.store.keys import hash_code
 
 from tactile_loc_benchmark import job, suite
@@ -25,23 +24,24 @@ def drop_times(rows):
 
 
 def test_a_missing_library_leaves_out_its_source_or_method_with_the_line_to_install(finished):
-    assert not missing(finished.left_out["library-source"], "nowhere_to_be_found", "pip install touch-maker")
-    assert not missing(finished.left_out["library-method"], "nowhere_to_be_found", "pip install touch-finder")
+    assert not missing(finished.results.left_out["library-source"], "nowhere_to_be_found", "pip install touch-maker")
+    assert not missing(finished.results.left_out["library-method"], "nowhere_to_be_found", "pip install touch-finder")
     assert {row["source"] for row in finished.results.rows} == {"sketch", "shy", "archive"}
     assert {row["method"] for row in finished.results.rows} == {"oracle", "guess"}
 
 
 def test_a_library_that_is_missing_while_a_sensor_is_prepared_leaves_out_the_source(make_suite, bench_store):
     suite = make_suite(source=["photo"])
-    source = prepare_source(suite.source[0], load_objects(suite.objects, bench_store), bench_store)
-    assert not missing(source.problem, "'photo'", "camera_driver", "pip install")
+    source = prepare_source(suite.source[0], load_objects(suite.objects), suite, bench_store)
+    assert not missing(source.used.problem, "'photo'", "camera_driver", "pip install")
 
 
 def test_recordings_are_found_in_the_data_folder(make_suite, bench_store, tmp_path):
     suite = make_suite(source=[{"name": "archive", "folder": "data:far"}])
     (entry,) = suite.source
-    assert prepare_source(entry, {}, bench_store, tmp_path).entry.options == {"folder": str(tmp_path / "far")}
-    assert not missing(prepare_source(entry, {}, bench_store).problem, "data:far", "`data`")
+    placed = suite.model_copy(update={"data": tmp_path})
+    assert prepare_source(entry, {}, placed, bench_store).entry.options == {"folder": str(tmp_path / "far")}
+    assert not missing(prepare_source(entry, {}, suite, bench_store).used.problem, "data:far", "`data`")
 
 
 def test_a_run_in_which_nothing_can_be_used_is_an_error(run_small):
@@ -50,12 +50,12 @@ def test_a_run_in_which_nothing_can_be_used_is_an_error(run_small):
 
 
 def test_versions_and_licences_are_recorded(finished):
-    sketch, archive = finished.sources[0], finished.sources[-1]
+    sketch, archive = finished.sources[0].used, finished.sources[-1].used
     assert sketch.licence == "public domain"
     assert sketch.libraries.keys() == {"bench-fakes", "numpy"}
     assert sketch.libraries["bench-fakes"] == "1.5"
     assert (archive.recorded, list(archive.objects)) == (True, ["brick"])
-    assert finished.methods[1].paper == "Anyone, anywhere"
+    assert finished.methods[1].used.paper == "Anyone, anywhere"
 
 
 def test_finished_jobs_are_kept(run_small, tmp_path):
@@ -67,11 +67,17 @@ def test_finished_jobs_are_kept(run_small, tmp_path):
     assert more.done == 1
 
 
-@pytest.mark.parametrize("changes", [
-    {"seed": 8}, {"examples": 2}, {"touches": [1]}, {"press": [0.4, 0.9]},
-    {"source": [{"name": "sketch", "style": "b"}]},
-    {"method": [{"name": "guess", "sleep_s": 0.0001}]},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"seed": 8},
+        {"examples": 2},
+        {"touches": [1]},
+        {"press": [0.4, 0.9]},
+        {"source": [{"name": "sketch", "style": "b"}]},
+        {"method": [{"name": "guess", "sleep_s": 0.0001}]},
+    ],
+)
 def test_a_change_of_the_inputs_makes_a_new_job(run_small, tmp_path, changes):
     run_small(tmp_path, method=["guess"])
     assert run_small(tmp_path, **{"method": ["guess"], **changes}).done == 1
@@ -164,9 +170,12 @@ def test_a_run_in_another_folder_and_store_gives_the_same_table(run_small, tmp_p
 def test_groups_follow_the_suite(finished):
     groups = finished.results.groups
     assert [(group.source, group.method, group.touches) for group in groups if group.source != "shy"] == [
-        ("sketch", "oracle", 1), ("sketch", "oracle", 2), ("sketch", "guess", 1), ("sketch", "guess", 2),
+        ("sketch", "oracle", 1),
+        ("sketch", "oracle", 2),
+        ("sketch", "guess", 1),
+        ("sketch", "guess", 2),
         ("archive", "guess", 1),
-    ]  # fmt: skip
+    ]
 
 
 def test_objects_with_the_same_name_are_refused(run_small, box_file, tmp_path):
@@ -178,5 +187,5 @@ def test_objects_with_the_same_name_are_refused(run_small, box_file, tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_runs(run_small, tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError):
+    with pytest.raises(ConfigError):
         run_small(tmp_path / "file")

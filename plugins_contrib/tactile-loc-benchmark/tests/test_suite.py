@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 from message_helpers import naming
-from tactile_loc.core.runtime.errors import ConfigError, UnknownPluginError
+from tactile_loc.core.runtime.errors import UnknownPluginError
 from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc.plugin import ConfigError
 
 from tactile_loc_benchmark.suite import Suite, list_suites, read_split
 
@@ -112,9 +113,14 @@ def test_a_missing_library_is_no_mistake(write):
     assert Suite.from_toml(write(SMALL.replace('"guess"', '"library-method"'))).method[0].name == "library-method"
 
 
-@pytest.mark.parametrize(("name", "mentioned"), [
-    ("quik", ("'quik'", "'quick'")), ("none.toml", ("none.toml",)), ("a/b", ("a/b",)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "mentioned"),
+    [
+        ("quik", ("'quik'", "'quick'")),
+        ("none.toml", ("none.toml",)),
+        ("a/b", ("a/b",)),
+    ],
+)
 def test_a_missing_suite_is_named(name, mentioned, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=naming(*mentioned)):

@@ -42,7 +42,9 @@ class Answer(NamedTuple):
 class BopScene:
     """E examples of an object: the true poses `T_true` (E, 4, 4), metres, NaN if unknown, and the answers.
 
-    `answers` maps a method and a number of touches to an Answer for each example. `about` describes the scene.
+    `answers` maps a method and a number of touches to an answer for each example: the listed poses (K, 4, 4), metres,
+    their scores (K,), and the seconds, NaN if unknown. An answer without a pose has no poses and no scores. `about`
+    describes the scene.
     """
 
     object: str
@@ -89,9 +91,9 @@ def format_results(scenes: Sequence[BopScene], method: str, touches: int) -> str
     writer.writerow(COLUMNS)
     of_object = number_objects(scenes)
     for scene_id, scene in enumerate(scenes, start=1):
-        for im_id, answer in enumerate(scene.answers.get((method, touches), ())):
-            time = f"{answer.seconds:.6f}" if np.isfinite(answer.seconds) else UNKNOWN_TIME
-            for T, score in zip(answer.poses, answer.scores, strict=True):
+        for im_id, (poses, scores, seconds) in enumerate(scene.answers.get((method, touches), ())):
+            time = f"{seconds:.6f}" if np.isfinite(seconds) else UNKNOWN_TIME
+            for T, score in zip(poses, scores, strict=True):
                 pose = map(_join, _convert_pose(np.asarray(T)))
                 writer.writerow((scene_id, im_id, of_object[scene.object], f"{score:.6g}", *pose, time))
     return text.getvalue()

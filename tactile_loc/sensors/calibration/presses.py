@@ -314,7 +314,7 @@ def _read_image(row: Row, geometry: SensorGeometry) -> Image:
     return image
 
 
-def convert(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_px: float) -> Path:
+def convert_presses(source: Path, out: Path, format: str, ball_radius_mm: float, mm_per_px: float) -> Path:
     """Convert a set of presses in one of FORMATS to a folder of presses `out`, and return the path of the table.
 
     Circles larger than the ball are reduced: see `write_table`. Raises CalibrationError when the set does not match

@@ -20,7 +20,7 @@ from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_colour_image
 from tactile_loc.sensors.calibration.calibrate import average_errors, calibrate
-from tactile_loc.sensors.calibration.presses import FOR_MEDIAN, FORMATS, choose_size_px, convert, read_presses
+from tactile_loc.sensors.calibration.presses import FOR_MEDIAN, FORMATS, choose_size_px, convert_presses, read_presses
 from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
 
 BALLS = ball_set(3)
@@ -303,7 +303,7 @@ def test_every_format_is_tested():
 
 @EACH
 def test_convert_keeps_images_and_circles(format, source, tmp_path):
-    table = convert(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
+    table = convert_presses(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
     background = [row["image"] for row in rows_of(table) if row["kind"] == "background"]
     balls = [row for row in rows_of(table) if row["kind"] == "ball"]
     assert len(background) == (0 if format == "fots" else 1)
@@ -319,7 +319,7 @@ def test_convert_keeps_images_and_circles(format, source, tmp_path):
 
 @EACH
 def test_a_converted_set_can_be_read_for_calibration(format, source, tmp_path):
-    convert(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
+    convert_presses(source, tmp_path / "out", format, BALL_M / MM, MM_PER_PX)
     if format == "fots":  # has no untouched gel
         with pytest.raises(CalibrationError, match="`background` median"):
             read_presses(tmp_path / "out", BALLS.geometry)
@@ -329,7 +329,7 @@ def test_a_converted_set_can_be_read_for_calibration(format, source, tmp_path):
 
 def refused_set(source: Path, format: str, out: Path, *words: str) -> None:
     with pytest.raises(CalibrationError) as caught:
-        convert(source, out, format, BALL_M / MM, MM_PER_PX)
+        convert_presses(source, out, format, BALL_M / MM, MM_PER_PX)
     for word in (str(source), format, *words):
         assert word in str(caught.value)
 
@@ -379,7 +379,7 @@ def test_a_set_without_presses_is_refused(tmp_path):
 
 def test_an_unknown_format_is_refused(tmp_path):
     with pytest.raises(CalibrationError, match=naming("'gelsight'", "gs_sdk", "taxim", "fots", "circles")):
-        convert(tmp_path, tmp_path / "out", "gelsight", 3.0, 0.1)
+        convert_presses(tmp_path, tmp_path / "out", "gelsight", 3.0, 0.1)
 
 
 # The public sets: format, file, ball radius and pixel pitch in mm, image size (H, W), number of presses, and the circle
@@ -401,7 +401,7 @@ def public(shared_data: Path, tmp_path: Path):
         source = shared_data / "tactile" / name / file
         if not source.exists():
             pytest.skip(f"there is no {source}: it holds real images that are not part of the project")
-        table = convert(source, tmp_path / name, format, ball_mm, mm_per_px)
+        table = convert_presses(source, tmp_path / name, format, ball_mm, mm_per_px)
         k = 1e3 / mm_per_px
         geometry = SensorGeometry("orthographic", width, height, k, k, width / 2, height / 2, 0.01, 1.5e-3)
         return read_presses(table.parent, geometry, median_background=format == "fots")

@@ -9,12 +9,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from tactile_loc.core.geometry.rigid import invert, is_rigid, make_transform, rotation_about
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import (
+    PoseMetric,
+    Scene,
+    TactileLocError,
+    Touch,
+    invert,
+    is_rigid,
+    make_transform,
+    registry,
+    rotation_about,
+)
 from tactile_loc.testing.contract import ContractError, Untouched, check, require
 from tactile_loc.testing.problems import ReferenceRenderer, make_block, make_planar_pose, make_touch, replace_depth
 
@@ -115,9 +120,11 @@ def check_same_again(method: Method) -> None:
     method, problem = _prepare(method)
     first, again = (_locate(method, problem, _make_touches()) for _ in range(2))
     same = first is again is None or (
-        first is not None and again is not None and np.array_equal(first.T_base_object, again.T_base_object)
+        first is not None
+        and again is not None
+        and np.array_equal(first.T_base_object, again.T_base_object)
         and np.array_equal(first.scores, again.scores)
-    )  # fmt: skip
+    )
     require(same, "the same touches must give the same answer; otherwise declare deterministic=False")
 
 

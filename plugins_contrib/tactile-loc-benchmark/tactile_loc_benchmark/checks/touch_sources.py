@@ -15,13 +15,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.runtime.errors import TactileLocError, TouchError
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.slots.registry import registry
-from tactile_loc.slots.sensor import SensorModel
+from tactile_loc.plugin import (
+    ContactShape,
+    ObjectModel,
+    Poses,
+    Scene,
+    SensorModel,
+    TactileLocError,
+    Touch,
+    TouchError,
+    registry,
+)
 from tactile_loc.testing.contract import ContractError, Untouched, check, require, require_equal
 from tactile_loc.testing.problems import ReferenceRenderer, make_ball, make_plain_object, make_planar_pose
 

@@ -11,9 +11,7 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.slots.component import Capabilities
+from tactile_loc.plugin import Capabilities, Poses, Touch, invert, make_transform
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
 from tactile_loc_benchmark.methods.surface_fit import FitOptions, SurfaceFit
@@ -103,10 +101,17 @@ class FpfhRansac(FeatureRegistration):
         of, reach_mm = o3d.pipelines.registration, REACH * self.options.spacing_mm
         checks = [of.CorrespondenceCheckerBasedOnEdgeLength(0.9), of.CorrespondenceCheckerBasedOnDistance(reach_mm)]
         found = of.registration_ransac_based_on_feature_matching(
-            touched.points, model.points, touched.features, model.features, False, reach_mm,
-            of.TransformationEstimationPointToPoint(), 3, checks,
+            touched.points,
+            model.points,
+            touched.features,
+            model.features,
+            False,
+            reach_mm,
+            of.TransformationEstimationPointToPoint(),
+            3,
+            checks,
             of.RANSACConvergenceCriteria(self.options.hypotheses, 0.999),
-        )  # fmt: skip
+        )
         return np.asarray(found.transformation)
 
 
@@ -127,9 +132,10 @@ class FastGlobalRegistration(FeatureRegistration):
         """Return the transform (4, 4), mm, that aligns the corresponding points robustly."""
         of = o3d.pipelines.registration
         options = of.FastGlobalRegistrationOption(
-            use_absolute_scale=True, maximum_correspondence_distance=0.5 * self.options.spacing_mm,
+            use_absolute_scale=True,
+            maximum_correspondence_distance=0.5 * self.options.spacing_mm,
             maximum_tuple_count=self.options.tuples,
-        )  # fmt: skip
+        )
         found = of.registration_fgr_based_on_feature_matching(
             touched.points, model.points, touched.features, model.features, options
         )

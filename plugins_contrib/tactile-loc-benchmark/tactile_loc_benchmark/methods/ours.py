@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field
-from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.store.store import StageStore
+from tactile_loc import Localizer, RunConfig, StageStore, localize_together
+from tactile_loc.plugin import ComponentOptions, Touch
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
 

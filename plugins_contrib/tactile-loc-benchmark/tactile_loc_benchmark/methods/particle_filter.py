@@ -9,20 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, transform_points
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.merging import merge_modes
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.scene import Scene, View, view_touch
-from tactile_loc.core.sensing.touch import Touch, require_depths
-from tactile_loc.slots.registry import registry
-from tactile_loc.slots.renderer import Renderer
+from tactile_loc.plugin import (
+    ComponentOptions,
+    ObjectModel,
+    PoseMetric,
+    Poses,
+    Renderer,
+    Touch,
+    View,
+    invert,
+    make_transform,
+    merge_modes,
+    registry,
+    transform_points,
+)
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
 from tactile_loc_benchmark.methods.icp_starts import draw_starts
 from tactile_loc_benchmark.methods.surface_fit import APART_M, LISTED
-from tactile_loc_benchmark.methods.touched_points import find_deepest_point, find_sensor_pose
+from tactile_loc_benchmark.methods.touched_points import find_deepest_point, find_sensor_pose, view_touches
 
 RENDERER = "heightmap"
 MOST_CLUSTERS = 50  # clusters that are counted
@@ -65,11 +70,7 @@ class ParticleFilter(Method):
         """Return the clusters of particles, with their shares of the particles as scores and probabilities."""
         options, rng = self.options, np.random.default_rng(self.options.seed)
         T_base_first = find_sensor_pose(touches[0])
-        views = []
-        for touch in touches:
-            require_depths(touch, "a particle filter")
-            scene = Scene(problem.object, touch.geometry, self._renderer)
-            views.append(view_touch(touches[0], touch, scene))
+        views = view_touches(touches, problem.object, self._renderer)
         T = np.empty((0, 4, 4))
         for n in range(1, len(views) + 1):
             kept = round(options.particles * (1 - options.renewed)) if len(T) else 0

@@ -8,20 +8,33 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.core.geometry.rigid import Float32, Poses, align_to_z, invert, make_transform, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.places.places import CAMERA
-from tactile_loc.core.places.rotated_patches import find_anchor, rotate_patches
-from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.scene import Scene, view_touch
-from tactile_loc.core.sensing.touch import Touch, require_depths
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import (
+    PATCH_PX,
+    PITCH_M,
+    ComponentOptions,
+    Float32,
+    ObjectModel,
+    Poses,
+    Scene,
+    SensorGeometry,
+    Touch,
+    align_to_z,
+    find_anchor,
+    invert,
+    make_transform,
+    registry,
+    rotate_patches,
+    rotation_about,
+)
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
 from tactile_loc_benchmark.methods.surface_fit import list_best
-from tactile_loc_benchmark.methods.touched_points import find_sensor_pose
+from tactile_loc_benchmark.methods.touched_points import find_sensor_pose, view_touches
 
 RENDERER = "heightmap"
+CAMERA = SensorGeometry(
+    "orthographic", PATCH_PX, PATCH_PX, 1 / PITCH_M, 1 / PITCH_M, PATCH_PX / 2, PATCH_PX / 2, 0.1, 3e-3
+)  # the camera of the patches of `rotate_patches`, for presses of up to 3 mm
 GOLDEN_RAD = np.pi * (3 - np.sqrt(5))  # the turn from one point of a spiral on the sphere to the next
 
 
@@ -54,12 +67,10 @@ class PixelMatching(Method):
 
     def locate(self, problem: LocatingProblem, touches: Sequence[Touch]) -> ScoredPoses:
         """Return the poses of the grid that are most similar to all touches."""
-        for touch in touches:
-            require_depths(touch, "the comparison of pixels")
         T_base_first = find_sensor_pose(touches[0])
         most = -(-self.options.candidates // len(touches))
         T = np.concatenate([find_sensor_pose(touch) @ self._match(touch, most) for touch in touches])
-        views = [view_touch(touches[0], t, Scene(problem.object, t.geometry, self._renderer)) for t in touches]
+        views = view_touches(touches, problem.object, self._renderer)
         T_first_object = invert(T_base_first) @ T
         ious = [view.imprint_ious(T_first_object, self.options.image_px) for view in views]
         return list_best(T, np.mean(ious, axis=0), problem.object)
@@ -98,7 +109,7 @@ def measure_differences(seen_m: Float32, observed: NDArray[np.bool_], drawn_m: F
 
     All patches are (H, W), metres.
     """
-    seen, mask, drawn = (np.asarray(a, np.float32).reshape(len(a), -1) * k for a, k in
-                         ((seen_m, 1e3), (observed, 1.0), (drawn_m, 1e3)))  # fmt: skip
+    mask = observed.reshape(len(observed), -1).astype(np.float32)
+    drawn, seen = (1e3 * np.asarray(a, np.float32).reshape(len(a), -1) for a in (drawn_m, seen_m))
     seen = seen * mask
     return np.asarray(np.square(drawn) @ mask.T - 2 * drawn @ seen.T + np.square(seen).sum(axis=1))

@@ -12,14 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.objects.surface_field import SurfaceField
-from tactile_loc.core.poses.merging import merge_modes
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.poses.posterior import group_ties, rank_poses
-from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.plugin import (
+    ComponentOptions,
+    ObjectModel,
+    PoseMetric,
+    Poses,
+    SurfaceField,
+    TouchError,
+    group_ties,
+    invert,
+    make_transform,
+    merge_modes,
+    rank_poses,
+)
 
 from tactile_loc_benchmark.interfaces import ScoredPoses
 from tactile_loc_benchmark.methods.touched_points import TouchedPoints

@@ -7,10 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
-from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.core.sensing.clouds import make_contact_cloud
-from tactile_loc.core.sensing.touch import Touch, require_depths
+from tactile_loc.plugin import (
+    ObjectModel,
+    Poses,
+    Renderer,
+    Scene,
+    Touch,
+    TouchError,
+    View,
+    invert,
+    make_contact_cloud,
+    transform_points,
+)
 
 IMAGE_PX = 80  # touches are thinned to about this many pixels on the longer side before points are taken
 DEEPEST_SHARE = 0.05  # pixels within this share of the press depth of the deepest pixel count as deepest
@@ -41,7 +49,6 @@ class TouchedPoints:
         T_base_first = find_sensor_pose(touches[0])
         points, normals, numbers = [], [], []
         for k, touch in enumerate(touches):
-            require_depths(touch, "registration")
             T = invert(T_base_first) @ find_sensor_pose(touch)
             geometry, shape = touch.thin(IMAGE_PX)
             if not (shape.contact & geometry.observed_mask).any():  # a contact of a few pixels between the thin ones
@@ -66,10 +73,22 @@ class TouchedPoints:
 
 
 def find_sensor_pose(touch: Touch) -> Poses:
-    """Return the touch's `T_base_sensor` (4, 4), metres. Raises TouchError if it is unknown."""
+    """Return the `T_base_sensor` (4, 4), metres, of a touch with depths. Raises TouchError if either is missing."""
     if touch.T_base_sensor is None:
         raise TouchError(f"{touch.name} has no sensor pose; give its T_base_sensor")
+    if not touch.has_depths:
+        raise TouchError(f"{touch.name} is a contact mask, but this method needs depths; give a depth map")
     return touch.T_base_sensor
+
+
+def view_touches(touches: Sequence[Touch], obj: ObjectModel, renderer: Renderer) -> list[View]:
+    """Return the views of touches of an object from the first sensor. Raises TouchError as `find_sensor_pose` does."""
+    T_base_first = find_sensor_pose(touches[0])
+    views = [View(touches[0], Scene(obj, touches[0].geometry, renderer))]
+    for touch in touches[1:]:
+        T = invert(find_sensor_pose(touch)) @ T_base_first
+        views.append(View(touch, Scene(obj, touch.geometry, renderer), T))
+    return views
 
 
 def find_deepest_point(touch: Touch) -> Floats:

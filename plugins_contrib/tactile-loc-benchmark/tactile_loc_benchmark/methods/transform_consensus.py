@@ -9,8 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.plugin import Poses, Touch, invert, make_transform, rotation_about
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
 from tactile_loc_benchmark.methods.surface_fit import FitOptions, SurfaceFit

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tactile_loc.core.geometry.rigid import make_transform
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.io.images import write_image
-from tactile_loc.sensors.calibration.frames import PressImage, read_frames
-from tactile_loc.sensors.calibration.outcome import calibrate_folder
-from tactile_loc.sensors.calibration.unlabelled import find_presses, write_labels
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.store import StageStore
+import PIL.Image
+from tactile_loc import StageStore, calibrate_folder, label_presses
+from tactile_loc.plugin import (
+    ObjectModel,
+    Scene,
+    SensorError,
+    SensorGeometry,
+    SymmetryGroup,
+    TriangleMesh,
+    make_transform,
+    registry,
+)
 
 from tactile_loc_benchmark.interfaces import Image, SimulatedSource
 
@@ -69,20 +68,21 @@ def calibrate_on_balls(source: SimulatedSource, camera: SensorGeometry, folder: 
     """Press a ball with a source that draws images, calibrate the `camera` on them, and return the sensor's folder.
 
     The balls are found in the images, as by `tactile-loc calibrate` without a table. Images and sensor are written into
-    `folder`. Raises CalibrationError if the images cannot be used.
+    `folder`. Raises TactileLocError if the images cannot be used.
     """
     presses = folder / "presses"
     presses.mkdir(parents=True, exist_ok=True)
     for number, image in enumerate(press_ball(source, camera, balls)):
-        write_image(presses / f"image-{number:03d}.png", image)
-    label_balls(presses, read_frames(presses)[1], balls.radius_m, camera.pixel_pitch_m)
+        PIL.Image.fromarray(image).save(presses / f"image-{number:03d}.png")
+    (presses / "presses.csv").unlink(missing_ok=True)  # of an interrupted calibration
+    label_presses(presses, None, 1e3 * balls.radius_m, 1e3 * camera.pixel_pitch_m)
     return calibrate_sensor(presses, camera, folder / "sensor")
 
 
 def press_ball(source: SimulatedSource, camera: SensorGeometry, balls: BallPresses) -> list[Image]:
     """Return images (H, W, 3) uint8 of the untouched gel, and of the presses of a ball.
 
-    Raises CalibrationError if the source draws no images.
+    Raises SensorError if the source draws no images.
     """
     ball, renderer = balls.make_object(), registry().create("renderer", RENDERER, {})
     images: list[Image] = []
@@ -90,19 +90,12 @@ def press_ball(source: SimulatedSource, camera: SensorGeometry, balls: BallPress
         scene = Scene(ball, camera.press(press_m, camera.max_depth_m), renderer)
         image: Any = source.press(scene, T, np.random.default_rng([balls.seed, number]))
         if not isinstance(image, np.ndarray):
-            raise CalibrationError("the source draws contact shapes, not images; its sensor needs no calibration")
+            raise SensorError("the source draws contact shapes, not images; its sensor needs no calibration")
         images.append(image)
     return images
 
 
-def label_balls(folder: Path, frames: Sequence[PressImage], radius_m: float, pitch_m: float) -> None:
-    """Find the balls in images, and write the table `presses.csv`. Raises CalibrationError if no ball is found."""
-    (folder / "presses.csv").unlink(missing_ok=True)
-    found = find_presses(frames, radius_m / pitch_m)
-    write_labels(folder, found, 1e3 * radius_m, 1e3 * pitch_m)
-
-
 def calibrate_sensor(presses: Path, camera: SensorGeometry, folder: Path) -> Path:
-    """Calibrate a sensor on a folder of presses with its table, and write it to `folder`. Raises CalibrationError."""
+    """Calibrate a sensor on a folder of presses with its table, and write it to `folder`. Raises TactileLocError."""
     store = StageStore(folder.parent / "store")  # keeps the stages of an interrupted calibration
     return calibrate_folder(presses, camera, store=store).write(folder)

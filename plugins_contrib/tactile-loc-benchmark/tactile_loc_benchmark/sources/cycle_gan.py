@@ -13,10 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
-from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.plugin import ComponentOptions, Poses, Scene, SensorGeometry
 from tactile_mnist import (
     GEL_PENETRATION_DEPTH_MM,
     GELSIGHT_MINI_GEL_THICKNESS_MM,

@@ -7,11 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.plugin import ComponentOptions, ContactShape, Poses, Scene, SensorGeometry
 
 MM = 1e3
 FAR_M = 50e-3  # distance of an object that is nowhere near a pixel

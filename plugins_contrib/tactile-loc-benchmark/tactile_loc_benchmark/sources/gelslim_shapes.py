@@ -13,15 +13,18 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+import PIL.Image
 from pydantic import Field
-from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.io.images import load_image
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.sensors.calibration.presses import convert
+from tactile_loc import convert_presses, load_object
+from tactile_loc.plugin import (
+    ComponentOptions,
+    ConfigError,
+    ObjectModel,
+    Poses,
+    SensorGeometry,
+    make_transform,
+    rotation_about,
+)
 
 from tactile_loc_benchmark.interfaces import RecordedSource, RecordedTouch
 from tactile_loc_benchmark.sources.calibrating import calibrate_sensor
@@ -48,7 +51,7 @@ class GelslimShapes(RecordedSource):
     def prepare_sensor(self, folder: Path) -> Mapping[str, Any]:
         """Return the table of the sensor that was calibrated on the real presses of a ball."""
         presses = folder / "presses"
-        convert(self._find(BALLS), presses, "circles", BALL_MM, MM_PER_PX)
+        convert_presses(self._find(BALLS), presses, "circles", BALL_MM, MM_PER_PX)
         return {"name": "calibrated", "path": str(calibrate_sensor(presses, make_camera(), folder / "sensor"))}
 
     def find_objects(self) -> Mapping[str, ObjectModel]:
@@ -63,7 +66,7 @@ class GelslimShapes(RecordedSource):
         for path in sorted(folder.glob(f"{PRISM}_*_real.png")):
             key = path.stem.removesuffix("_real")
             T = place_prism(poses.get(key, poses[nearest]), 1e-3 * _read_press_mm(key))
-            yield RecordedTouch(load_image(path, "RGB")[1], T, key)
+            yield RecordedTouch(np.asarray(PIL.Image.open(path).convert("RGB")), T, key)
 
     def _find(self, name: str) -> Path:
         folder = Path(self.options.data).expanduser() / name

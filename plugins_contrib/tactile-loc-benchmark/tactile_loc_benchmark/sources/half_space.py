@@ -11,11 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import tamaas
-from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.plugin import ContactShape, Poses, Scene, SensorGeometry, TouchError
 
 from tactile_loc_benchmark.interfaces import SimulatedSource
 from tactile_loc_benchmark.sources.elastic import (

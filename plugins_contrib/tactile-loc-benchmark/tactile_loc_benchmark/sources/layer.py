@@ -12,12 +12,7 @@ import numpy as np
 from ContactMechanics.Systems import NonSmoothContactSystem
 from pydantic import Field
 from SurfaceTopography import Topography
-from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.core.sensing.gel import Gel
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.plugin import ContactShape, Poses, Scene, SensorGeometry, TouchError
 
 from tactile_loc_benchmark.interfaces import SimulatedSource
 from tactile_loc_benchmark.sources.elastic import (
@@ -33,19 +28,20 @@ from tactile_loc_benchmark.sources.elastic import (
 MOST_ITERATIONS, PENETRATION_MM = 500, 1e-4
 
 
-def press_layer(reach_m: Floats, geometry: SensorGeometry, gel: Gel) -> Floats:
+def press_layer(reach_m: Floats, geometry: SensorGeometry, thickness_m: float, poisson: float) -> Floats:
     """Return the displacement (H, W), metres, of an elastic gel, given the object's reach (H, W) into it, metres.
 
-    A layer is solved in a window of twice the image's size. Raises TouchError if the solver does not converge.
+    A layer of a thickness in metres and with Poisson's ratio `poisson` is solved in a window of twice the image's size.
+    An infinite thickness is a half-space, with Poisson's ratio zero. Raises TouchError if the solver does not converge.
     """
     (height, width), sides_mm = reach_m.shape, tuple(MM * side for side in measure_sides_m(geometry))
-    if math.isinf(gel.thickness_m or 0):
+    if math.isinf(thickness_m):
         shape = (height, width)
         substrate = ContactMechanics.FreeFFTElasticHalfSpace(shape, 1.0, sides_mm)
     else:
         shape, sides_mm = (2 * height, 2 * width), (2 * sides_mm[0], 2 * sides_mm[1])
         substrate = ContactMechanics.PeriodicFFTElasticHalfSpace(
-            shape, 1.0, sides_mm, thickness=(gel.thickness_m or 0) * MM, poisson=gel.poisson
+            shape, 1.0, sides_mm, thickness=thickness_m * MM, poisson=poisson
         )
     heights_mm = np.full(shape, -FAR_M * MM)
     heights_mm[:height, :width] = reach_m * MM
@@ -72,6 +68,6 @@ class ElasticLayer(SimulatedSource):
 
     def press(self, scene: Scene, T_sensor_object: Poses, rng: np.random.Generator) -> ContactShape:
         """Return the contact shape of the layer's surface."""
-        gel = Gel(self.options.thickness_mm / MM, self.options.poisson)
-        displacement_m = press_layer(find_reach_m(scene, T_sensor_object), scene.geometry, gel)
+        reach_m, thickness_m = find_reach_m(scene, T_sensor_object), self.options.thickness_mm / MM
+        displacement_m = press_layer(reach_m, scene.geometry, thickness_m, self.options.poisson)
         return make_shape(displacement_m, scene.geometry.indentation_m)

@@ -8,19 +8,12 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
-from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.gel import GelKind
-from tactile_loc.core.sensing.noise import NoiseLevel, make_noise
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.evaluation.robot_touches import measure_noisily
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import ComponentOptions, ContactShape, NoiseLevel, Poses, Scene, make_noise, registry
 
 from tactile_loc_benchmark.interfaces import SimulatedSource
 
 
-class SimulatedTouches(SimulatedSource):
+class RenderedTouches(SimulatedSource):
     """Draws contact shapes with a renderer that the default method does not use."""
 
     licence: ClassVar[str] = "own"
@@ -32,7 +25,7 @@ class SimulatedTouches(SimulatedSource):
             default="raycast", description="the renderer that draws the touches"
         )
         sensor: str = Field(default="gelsight-mini", description="the sensor's name")
-        gel: GelKind = Field(default="rigid", description="the sensor's gel: rigid or layer")
+        gel: Literal["rigid", "layer"] = Field(default="rigid", description="the sensor's gel: rigid or layer")
         noise: NoiseLevel = Field(default="none", description="the noise of the touches: none, mild or strong")
 
     def prepare_sensor(self, folder: Path) -> Mapping[str, Any]:
@@ -44,5 +37,7 @@ class SimulatedTouches(SimulatedSource):
         renderer = registry().create("renderer", self.options.renderer, {})
         geometry, press_m = scene.geometry, scene.geometry.indentation_m
         clean = Scene(scene.object, geometry, renderer).render_gel_depths(T_sensor_object[None])
-        depth_m, measured_m = measure_noisily(make_noise(self.options.noise), clean, press_m, geometry, rng)
-        return ContactShape(depth_m, measured_m)
+        noise, press = make_noise(self.options.noise), np.array([press_m])
+        measured_m = noise.measure_press(press, geometry.max_depth_m, rng)
+        depth_m = noise.cut(noise.corrupt(clean, press, geometry, rng), press, measured_m)
+        return ContactShape(depth_m[0], float(measured_m[0]))

@@ -16,10 +16,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.plugin import ComponentOptions, Poses, Scene, SensorGeometry
 
 from tactile_loc_benchmark.interfaces import Image, SimulatedSource
 from tactile_loc_benchmark.sources.calibrating import BallPresses, calibrate_on_balls

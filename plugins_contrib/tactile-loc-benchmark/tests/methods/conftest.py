@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc import RobotTouches
 from tactile_loc.evaluation.metrics import compute_surface_distances
-from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.plugin import ObjectModel, Poses, Touch, make_transform, rotation_about
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.plugins.sensors.presets import GelSightMini
 from tactile_loc.testing.problems import make_block

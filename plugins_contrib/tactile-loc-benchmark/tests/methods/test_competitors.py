@@ -6,9 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points
-from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.plugin import Touch, TouchError, make_transform, rotation_about, transform_points
 
 from tactile_loc_benchmark.methods.feature_registration import FastGlobalRegistration, FeaturedCloud, FpfhRansac
 from tactile_loc_benchmark.methods.icp_starts import IcpFromStarts
