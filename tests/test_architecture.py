@@ -27,7 +27,6 @@ FILE_ACCESS = {
 
 CORE_FILE_ACCESS = {
     "code_cache.py": {"mkdir", "read_bytes", "rmtree"},  # compiled code
-    "descriptor.py": {"load", "read_bytes"},  # the weights that come with the package
 }
 
 

@@ -18,7 +18,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,9 +110,8 @@ def identify(touches: Sequence[Touch], models: Sequence[Localizer], null: NullEv
     models = _sort_models(models)
     if not touches:
         raise TouchError("there is no touch to identify; give at least one")
-    for model in models:
-        for touch in touches:
-            model.require_own(touch)
+    for model, touch in product(models, touches):
+        model.require_own(touch)
     if len(touches) > 1:
         require_sensor_poses([touch.T_base_sensor for touch in touches])
     with models[0].progress.task("locating objects", len(models)) as advance:

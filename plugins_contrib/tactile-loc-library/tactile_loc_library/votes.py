@@ -163,10 +163,10 @@ def _add_support(
         copied, values = places.copy(numbers[j]), np.repeat(alone[j], len(places.copies))
         most = sum(float(alone[later][0]) for later in others[n:])  # that later touches can add
         if least is None:
-            _support(nats, own, copied, values, touches.pairs[i][j], -np.inf, most, -np.inf)
+            _support(nats, own, copied, values, touches.pairs[i][j], (-np.inf, most, -np.inf))
         else:
             surely = most - MOST_LOST * len(others[n:])
-            least = _support(nats, own, copied, values, touches.pairs[i][j], least, most, surely)
+            least = _support(nats, own, copied, values, touches.pairs[i][j], (least, most, surely))
     return nats
 
 
@@ -227,15 +227,17 @@ class Shortlist:
 
 
 @njit(fast=True)
-def _support(nats, first, second, values, pair, least, most, surely):
+def _support(nats, first, second, values, pair, limits):
     """Add the best support by points with directions `second` (N, 6) to `nats` (M,) of points `first` (M, 6).
 
     The support is the value (N,) of the second point, less the mismatch of the two with the touched `pair`. It
     is at most MOST_LOST below the greatest value. The values are in descending order, so that a search can end early.
 
-    Later touches add from `surely` to `most` nats. A support may be too low if the sum then stays below `least`, or
-    below the sum of another point. Returns the greatest sum that is sure, or `least` if this is greater.
+    `limits` are `least`, `most` and `surely`. Later touches add from `surely` to `most` nats. A support may be too low
+    if the sum then stays below `least`, or below the sum of another point. Returns the greatest sum that is sure, or
+    `least` if this is greater.
     """
+    least, most, surely = limits
     distance, both, from_first, from_second, handed = pair
     weight = min(1.0, distance / NEAR_M)
     for i in range(len(first)):

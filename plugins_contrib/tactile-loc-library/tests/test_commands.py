@@ -40,11 +40,6 @@ def test_parts_are_listed_with_their_sizes(cli, library):
     assert said["bytes"] == sum(path.stat().st_size for path in files)
 
 
-def test_building_again_keeps_the_parts(cli, library):
-    said = json.loads(cli(*BUILD, "--json").stdout)
-    assert (said["built"], said["kept"], said["failed"]) == ([], ["plate", "rod"], {})
-
-
 def test_a_part_is_added_with_the_librarys_options_and_removed(cli, library):
     trimesh.creation.box((12, 10, 8)).export("block.stl")
     done = succeed(cli("library", "add", library, "block.stl", *MADE, "--workers", 1))

@@ -93,10 +93,6 @@ class StoreError(TactileLocError):
     """The stage store cannot be read or written, for instance because the disk is full."""
 
 
-class LibraryError(TactileLocError):
-    """A library of parts cannot be read or changed: it is missing, damaged, or lacks a part."""
-
-
 class TrainingError(TactileLocError):
     """A training failed: its loss is no longer a number."""
 
