@@ -103,7 +103,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.runtime.caches import ByteCache as ByteCache
     from tactile_loc.core.runtime.compiled import map_in_threads as map_in_threads
     from tactile_loc.core.runtime.formatting import show_name as show_name
-    from tactile_loc.core.places.touch_bounds import TouchBounds as TouchBounds, bound_touch as bound_touch
+    from tactile_loc.core.places.rotated_patches import TouchBounds as TouchBounds, bound_touch as bound_touch
 
     from tactile_loc.core.places.places import PATCH_PX as PATCH_PX, PITCH_M as PITCH_M, Places as Places
     from tactile_loc.core.places.places import make_patches as make_patches

@@ -3,20 +3,23 @@
 On a curved gel, the patch is seen along the gel's normal at the contact, like the patches of places.
 """
 
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
+
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import align_to_z
+from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform
 from tactile_loc.core.places.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Float32, Places
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
+from tactile_loc.core.runtime.turns import split_into_turns
+from tactile_loc.core.sensing.gel_surface import SLACK
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
-
-# mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 
 def find_anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -143,3 +146,50 @@ def _fill_excess(first, last, patches, pairs, bounds, most, excess):
         for c in range(side):
             total += columns[c]
         excess[k] = total
+
+
+MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
+COMPARED = 20_000  # rotated places that are compared with a touch in one turn
+
+
+@dataclass(frozen=True, eq=False)
+class TouchBounds:
+    """The bounds of a touch for the surface of a place, for each of M yaws by which a place may be rotated.
+
+    `low_m` and `high_m` (M, PATCH_PX, PATCH_PX), metres, and `most_m` are as for `measure_excess`. The yaws are about
+    the z axis of the frame at the touch's deepest point, `T_sensor_anchor` (4, 4), metres.
+    """
+
+    T_sensor_anchor: Poses
+    low_m: Float32
+    high_m: Float32
+    most_m: float
+
+    def measure_excess(self, places: Places, numbers: NDArray[np.int64], yaws: NDArray[np.int64]) -> Float32:
+        """Return how far rotated places leave the bounds (K,), square metres: see `measure_excess`.
+
+        Pair k is the place `numbers[k]` at the yaw number `yaws[k]`.
+        """
+        return np.concatenate(
+            [
+                measure_excess(places, numbers[some], yaws[some], self.low_m, self.high_m, self.most_m)
+                for some in split_into_turns(len(numbers), COMPARED)
+            ]
+        )
+
+
+def bound_touch(touch: Touch, yaws_rad: NDArray[np.float64]) -> TouchBounds:
+    """Return the bounds of what an elastic gel shows, at M yaws.
+
+    Where the gel touches, a place must be at the gel's surface. Elsewhere, it must be beyond the surface.
+    """
+    anchor_m, R_sensor_gel = find_anchor(touch)
+    surface_m, seen = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad)
+    contact = touch.geometry.observed_mask & touch.touching_shape.contact
+    touching = rotate_patches(touch, anchor_m, R_sensor_gel, yaws_rad, contact)[1]
+    far = np.float32(np.inf)
+    beyond_m = surface_m - np.float32(SLACK * touch.indentation_m)
+    low_m = np.where(touching, surface_m, np.where(seen, beyond_m, -far))
+    high_m = np.where(touching, surface_m, far)
+    T_sensor_anchor = make_transform(R_sensor_gel, anchor_m)
+    return TouchBounds(T_sensor_anchor, low_m, high_m, MOST_EXCESS * touch.indentation_m)

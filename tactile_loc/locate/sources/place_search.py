@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tactile_loc.bases.common_poses import compute_prior_weights
 from tactile_loc.core.geometry.rigid import Poses, make_transform
 from tactile_loc.core.places.places import CAMERA, HIGHEST_M
-from tactile_loc.core.places.touch_bounds import bound_touch
+from tactile_loc.core.places.rotated_patches import bound_touch
 from tactile_loc.core.poses.merging import suppress_non_maxima
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.priors import Prior
