@@ -39,8 +39,6 @@ from tactile_loc.core.sensing.scene import View
 
 VERSION = 4  # part of the store's keys: raise it when the output changes
 ROUGHLY = 0.02  # IoUs are counted in pixels, so a loss this small is ignored
-SCALE_END_MM = 0.1  # scale of the robust weights in the last step
-NOISE_MM = 0.03  # least standard deviation of a point of a touch
 FINELY = 4  # number of last steps, which use all points
 EARLY = 2  # number of first steps, after which poses are compared
 SAMPLES = 4000  # number of points of the object's surface that must not reach too deep into the gel
@@ -55,8 +53,10 @@ class RegistrationOptions(ComponentOptions):
     image_px: int = Field(default=120, ge=16, description="the longer image side is thinned to about this, pixels")
     points: int = Field(default=300, ge=20, description="points of each touch's surface, thinned evenly")
     scale_mm: float = Field(default=3.0, gt=0, description="scale of the robust weights in the first step, mm")
+    scale_end_mm: float = Field(default=0.1, gt=0, description="the same in the last step, mm")
     iterations: int = Field(default=15, ge=2, description="largest number of steps")
     stride: int = Field(default=3, ge=1, description="the first steps use one point out of this many")
+    noise_mm: float = Field(default=0.03, gt=0, description="least standard deviation of a point of a touch, mm")
     patch_mm: float = Field(default=1.0, gt=0, description="distance within which errors of points are alike, mm")
     press_error: float = Field(default=0.05, ge=0, description="standard deviation of a press, as a share of it")
 
@@ -139,7 +139,7 @@ class JointRegistration:
         Register the poses first. Their errors in the base frame are those of `RefinedPose.reported_covariance`.
         """
         T = np.stack([pose.T_sensor_object for pose in poses])
-        found = self._register(views, T, np.array([SCALE_END_MM]), 1)
+        found = self._register(views, T, np.array([self.options.scale_end_mm]), 1)
         own, reported = found.compute_covariances(T=T), found.compute_reported_covariances(T=T)
         return [
             dataclasses.replace(pose, covariance=one, reported_covariance=other)
@@ -151,7 +151,7 @@ class JointRegistration:
 
         The scales shrink in the first half of the steps, then stay constant.
         """
-        start, end = self.options.scale_mm, SCALE_END_MM
+        start, end = self.options.scale_mm, self.options.scale_end_mm
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
     def _register(
@@ -176,7 +176,7 @@ class JointRegistration:
             [view.touch for view in views],
             options.image_px,
             options.points,
-            NOISE_MM / MILLI,
+            options.noise_mm / MILLI,
             options.patch_mm / MILLI,
             area_m2,
         )
@@ -187,7 +187,7 @@ class JointRegistration:
             _scale(np.stack([view.T_sensor_first for view in views]), MILLI),
             np.square(sensor),
             np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]),
-            NOISE_MM,
+            options.noise_mm,
             _triangles_mm(build_surface_field(mesh, cell_m)),
             _samples_mm(mesh),
             mesh.centroid_m * MILLI,

@@ -17,7 +17,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
-from tactile_loc.core.runtime.errors import ResultError, TactileLocError
+from tactile_loc.core.runtime.errors import ConfigError, ResultError, TactileLocError
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.scene import Scene, View, view_touch
 from tactile_loc.core.sensing.touch import Touch
@@ -95,7 +95,10 @@ class Localization:
         path = path / result_json.NAME if path.is_dir() else path
         document = result_json.read_result(path)
         arrays = result_arrays.read_arrays(path.with_name(result_arrays.NAME), document)
-        config = RunConfig.from_dict(document["configuration"], str(path))
+        try:
+            config = RunConfig.from_dict(document["configuration"], str(path))
+        except ConfigError as error:
+            raise ConfigError(f"{error}; {result_json.AGAIN}") from error
         try:
             return cls._of_files(document, arrays, config)
         except (KeyError, TypeError, ValueError, TactileLocError) as error:
