@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tuning
+import tables
 from page_helpers import DOCS, ROOT, find_blocks, list_commands, read_page, understand, write_part
 from tactile_loc_cli.main import app
 from typer.main import get_command
@@ -132,12 +132,12 @@ def test_the_limits_and_the_functions_of_reports_exist():
 
 def test_every_tunable_option_is_listed_with_its_default_and_its_effect():
     page = read_page("tuning.md")
-    assert [marker[1] for marker in tuning.MARKER.finditer(page)] == list(TUNABLE)
-    assert tuning.with_tables(page) == page, "run python docs/tuning.py"
-    effects = tuning.read_effects(page)
-    assert set(effects) == tuning.options()
+    assert [marker[1] for marker in tables.MARKER.finditer(page)] == list(TUNABLE)
+    assert tables.with_tables(page) == page, "run python docs/tables.py"
+    effects = tables.read_effects(page)
+    assert set(effects) == tables.options()
     assert all(effects.values())
-    assert set(re.findall(rf"`((?:{'|'.join(TUNABLE)})\.\w+)`", page)) == tuning.options()
+    assert set(re.findall(rf"`((?:{'|'.join(TUNABLE)})\.\w+)`", page)) == tables.options()
 
 
 @pytest.mark.parametrize(
@@ -147,15 +147,15 @@ def test_every_tunable_option_is_listed_with_its_default_and_its_effect():
 def test_a_changed_table_cell_is_restored(before, after):
     page = read_page("tuning.md")
     assert before in page
-    assert tuning.with_tables(page.replace(before, after)) == page
+    assert tables.with_tables(page.replace(before, after)) == page
 
 
 def test_an_effect_of_a_removed_option_is_not_lost(tmp_path, monkeypatch):
     page = tmp_path / "tuning.md"
     page.write_text(read_page("tuning.md").replace("`tracker.modes` | 5", "`tracker.poses` | 5"), encoding="utf-8")
-    monkeypatch.setattr(tuning, "PAGE", page)
+    monkeypatch.setattr(tables, "TUNING", page)
     with pytest.raises(SystemExit, match=r"tracker\.poses"):
-        tuning.main()
+        tables.main()
     assert "tracker.poses" in page.read_text(encoding="utf-8")
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import combinations
 import numpy as np
 import pytest
+import tables
 from message_helpers import missing
 from tactile_loc_cli.scaffold.examples import make_examples
 
@@ -185,9 +185,9 @@ def test_the_generated_examples_are_up_to_date():
 
 
 def test_the_table_of_refused_combinations_has_a_row_for_each_rule():
-    shown = combinations.TABLE.search(PAGE)
+    shown = tables.REFUSED.search(PAGE)
     assert shown, "docs/plugins.md has no table of combinations"
-    assert shown[0] == combinations.table(), "run python docs/combinations.py"
+    assert shown[0] == tables.tabulate_combinations(), "run python docs/tables.py"
     rows = shown[0].splitlines()[2:]
     for row, rule in zip(rows, INCOMPATIBILITIES, strict=True):
         assert rule.reason in row
@@ -204,4 +204,4 @@ def test_the_table_of_refused_combinations_has_a_row_for_each_rule():
     ],
 )
 def test_built_in_components_are_found_by_their_declaration(declared, names):
-    assert list(combinations._declaring(declared)) == names
+    assert list(tables.find_declaring(declared)) == names
