@@ -17,7 +17,7 @@ from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compare_where_seen, keep_likeliest
 from tactile_loc.locate.method import LocatingMethod, Query
-from tactile_loc.locate.pipeline import Solution, conclude, explain, localize
+from tactile_loc.locate.pipeline import Solution, conclude, localize, weigh_modes
 from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.sources.source import Scored
@@ -132,7 +132,7 @@ class Trials:
         if not outliers:
             return self.solution.hypotheses
         modes = self._keep_promising([view for k, view in enumerate(self.query.views) if k not in outliers])
-        return explain(self.query, self.method, modes, outliers)
+        return weigh_modes(self.query, self.method, modes, outliers)
 
     def _keep_promising(self, trusted: Sequence[View]) -> Sequence[Mode]:
         """Return the modes that explain trusted touches best, without those that are not worth refining."""

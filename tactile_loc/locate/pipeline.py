@@ -45,10 +45,11 @@ def localize(query: Query, method: LocatingMethod, scored: Scored | None = None)
     if isinstance(posterior, NoPoseLeft):
         return posterior
     modes = method.propose(scored, posterior, query)
-    return Solution(scored, posterior, modes, explain(query, method, modes))
+    hypotheses = weigh_modes(query, method, modes)
+    return Solution(scored, posterior, modes, hypotheses)
 
 
-def explain(
+def weigh_modes(
     query: Query, method: LocatingMethod, modes: Sequence[Mode], outliers: Collection[int] = ()
 ) -> tuple[Hypothesis, ...]:
     """Refine modes to the touches, weigh them by how well they explain the touches, and merge equal poses.
