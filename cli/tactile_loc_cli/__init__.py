@@ -26,6 +26,7 @@ COMMANDS = (
 )
 # Commands of packages in plugins_contrib, which are installed separately.
 ANNEXES = {"app": "tactile-loc-app", "benchmark": "tactile-loc-benchmark", "library": "tactile-loc-library"}
+KINDS_OF_ANNEXES = {"method": "tactile-loc-benchmark", "touch-source": "tactile-loc-benchmark"}
 
 
 @hookimpl

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from tactile_loc.core.runtime.errors import (
     ConfigError,
+    MissingLibraryError,
     OutputError,
     UnknownPluginError,
     advise_choice,
@@ -22,6 +23,7 @@ from tactile_loc.core.runtime.errors import (
     quote,
 )
 from tactile_loc.slots.registry import SLOTS, registry, validate_options
+from tactile_loc_cli import KINDS_OF_ANNEXES
 from tactile_loc_cli.console import complain, is_shown, make_progress
 
 if TYPE_CHECKING:
@@ -364,8 +366,13 @@ def read_touches(localizer: Localizer, path: Path) -> list[Observation]:
 
 
 def require_slot(slot: str) -> None:
-    """Raise UnknownPluginError if there is no slot of this name."""
+    """Raise UnknownPluginError if there is no slot of this name, and MissingLibraryError if an annex defines it."""
     if slot not in (kinds := registry().kinds):
+        if annex := KINDS_OF_ANNEXES.get(slot):
+            raise MissingLibraryError(
+                f"the slot {slot!r} needs {annex}, which is not installed; in a clone of tactile-loc, run "
+                f"pip install ./plugins_contrib/{annex}"
+            )
         raise UnknownPluginError(f"there is no slot {slot!r}; {advise_choice(slot, kinds)}")
 
 

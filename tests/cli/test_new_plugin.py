@@ -158,6 +158,13 @@ def test_an_unknown_slot_is_refused(cli, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_kind_of_a_missing_annex_is_named_with_the_command_that_installs_it(cli, monkeypatch):
+    monkeypatch.setenv("TACTILE_LOC_PLUGINS", "")
+    registry.cache_clear()
+    assert_refused(cli("new-plugin", "method", "mine"), "pip install ./plugins_contrib/tactile-loc-benchmark")
+    registry.cache_clear()
+
+
 def test_existing_files_and_folders_are_not_changed(cli, tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("mine")

@@ -87,6 +87,13 @@ class Naming:
         kind = registry().kinds[self.slot]
         return kind.usage.format(name=self.name) if kind else f"tactile-loc run --{self.slot} {self.name}"
 
+    @property
+    def requires(self) -> str:
+        """The distribution that the package depends on: tactile-loc, or the one that defines the kind."""
+        kind = registry().kinds[self.slot]
+        package = kind.templates.partition(".")[0] if kind else "tactile_loc"
+        return "tactile-loc" if package == "tactile_loc_cli" else package.replace("_", "-")
+
     def require_free(self) -> None:
         """Raise PluginConflictError if a component of the slot or an installed package already has this name."""
         for found in registry().offers:
@@ -108,7 +115,7 @@ def describe_example(slot: str) -> str:
 
 def render(naming: Naming) -> dict[str, str]:
     """Return the text of each file of the package. The keys are the files' paths in the package's folder."""
-    named = ("slot", "name", "distribution", "package", "class_name", "module", "usage")
+    named = ("slot", "name", "distribution", "package", "class_name", "module", "usage", "requires")
     values = {**{name: getattr(naming, name) for name in named}, "summary": describe_example(naming.slot)}
     values["advice"] = ADVICE.get(naming.slot, ADVICE_OF_COMPONENTS)
     templates = {
