@@ -21,8 +21,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc_app.pictures import paint_wide
-from tactile_loc_app.scene_view import SceneView
+from tactile_loc_app.page.pictures import paint_wide
+from tactile_loc_app.page.scene_view import SceneView
 from tactile_loc_app.server import require_viser
 from tactile_loc_app.session import Session, place_above
 from tactile_loc_app.shared_localizers import SharedLocalizers

@@ -21,8 +21,8 @@ import numpy as np
 from app_photos import BALL_MM, BALLS, MM_PER_PX, PHOTOS, photograph_balls, photograph_part
 from browser import open_browser
 from numpy.typing import NDArray
-from tactile_loc_app.panels import ARCHIVE, Page
-from tactile_loc_app.scene_view import UNITS_PER_M, from_view
+from tactile_loc_app.page.panels import ARCHIVE, VisitorPage
+from tactile_loc_app.page.scene_view import UNITS_PER_M, from_view
 from tactile_loc_app.server import AppServer
 from tactile_loc_app.session import list_poses
 
@@ -174,7 +174,7 @@ def wait_until(is_done: Callable[[], Any], problem: str, limit_s: float = 120.0,
         time.sleep(pause_s)
 
 
-def find_arrow(page: Page, visitor: Visitor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def find_arrow(page: VisitorPage, visitor: Visitor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return where the finger's x arrow is grabbed, and where a drag of 4 mm along it ends, in pixels."""
     assert page.view.finger_gizmo is not None
     T = from_view(page.view.finger_gizmo)
@@ -183,7 +183,7 @@ def find_arrow(page: Page, visitor: Visitor) -> tuple[NDArray[np.float64], NDArr
     return project(page, visitor, grab_m), project(page, visitor, grab_m + 4e-3 * T[:3, 0])
 
 
-def project(page: Page, visitor: Visitor, point_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def project(page: VisitorPage, visitor: Visitor, point_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the pixel (2,) of the browser's window at which a point (3,), metres, of the view appears."""
     camera, (left, top, width, height) = page.client.camera, visitor.find_canvas()
     forward = np.asarray(camera.look_at) - camera.position
@@ -209,7 +209,7 @@ def make_part(path: Path) -> Path:
     return path
 
 
-def await_page(server: AppServer, visitor: Visitor) -> Page:
+def await_page(server: AppServer, visitor: Visitor) -> VisitorPage:
     """Wait until the visitor's page is complete, and return it."""
     visitor.await_text("Download the result")
     wait_until(lambda: server.pages, "no visitor is known")
@@ -218,7 +218,7 @@ def await_page(server: AppServer, visitor: Visitor) -> Page:
     return page
 
 
-def measure_updates(page: Page, count: int = 100) -> float:
+def measure_updates(page: VisitorPage, count: int = 100) -> float:
     """Return how often per second the contact shape and the gel are computed and sent, one request after another."""
     T, depth_m, start_s = page.session.T_base_sensor, page.session.press_depth_m, time.perf_counter()
     for number in range(1, count + 1):
@@ -228,7 +228,7 @@ def measure_updates(page: Page, count: int = 100) -> float:
     return count / (time.perf_counter() - start_s)
 
 
-def read_errors(page: Page) -> list[tuple[str, str]]:
+def read_errors(page: VisitorPage) -> list[tuple[str, str]]:
     """Return the errors of the calibrated sensor on held-out photos, each with its name."""
     lines = page.session.calibrator.made.outcome.list_errors()
     return [(f"its error of the {name}", value) for name, value in (line.split(": ") for line in lines)]

@@ -25,7 +25,7 @@ from tactile_loc import (
 )
 
 from tactile_loc_app.errors import AppError
-from tactile_loc_app.task_progress import ShowProgress, TaskProgress
+from tactile_loc_app.page.task_progress import ShowProgress, TaskProgress
 from tactile_loc_app.uploads import read_files, write_upload
 
 PHOTOS = "photos"

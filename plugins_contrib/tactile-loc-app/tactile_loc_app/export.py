@@ -74,9 +74,12 @@ def _name_copies(config: RunConfig) -> RunConfig:
     chosen, sensor = config.object, config.sensor
     options = {key: _name_copy(SENSOR, value) if key == "path" else value for key, value in sensor.options.items()}
     path = chosen.path if _is_demo(chosen.path) else _name_copy(OBJECT, chosen.path)
-    return config.model_copy(update={
-        "object": chosen.model_copy(update={"path": path}), "sensor": sensor.model_copy(update={"options": options}),
-    })  # fmt: skip
+    return config.model_copy(
+        update={
+            "object": chosen.model_copy(update={"path": path}),
+            "sensor": sensor.model_copy(update={"options": options}),
+        }
+    )
 
 
 def _is_demo(path: str) -> bool:
@@ -93,10 +96,16 @@ def _write_script(
     """Return the text of the script, and copy the object and the sensor that it reads."""
     chosen = localizer.config.object
     return _TEMPLATE.format(
-        name=localizer.object.name, count="1 touch" if len(names) == 1 else f"{len(names)} touches", script=SCRIPT,
-        touches=_list_touches(names, found.touches), object=_copy_object(folder, chosen.path), units=chosen.units,
-        symmetry=chosen.symmetry, sensor=_copy_sensor(folder, localizer), prior=_write_prior(prior),
-    )  # fmt: skip
+        name=localizer.object.name,
+        count="1 touch" if len(names) == 1 else f"{len(names)} touches",
+        script=SCRIPT,
+        touches=_list_touches(names, found.touches),
+        object=_copy_object(folder, chosen.path),
+        units=chosen.units,
+        symmetry=chosen.symmetry,
+        sensor=_copy_sensor(folder, localizer),
+        prior=_write_prior(prior),
+    )
 
 
 def _list_touches(names: list[str], touches: tuple[Touch, ...]) -> str:

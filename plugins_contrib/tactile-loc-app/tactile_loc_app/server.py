@@ -22,7 +22,7 @@ from tactile_loc_app.shared_localizers import SharedLocalizers
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-    from tactile_loc_app.panels import Page
+    from tactile_loc_app.page.panels import VisitorPage
 
 HOST, PORT = "127.0.0.1", 8080
 
@@ -49,7 +49,7 @@ class AppServer:
         self.access = Access.at(host)
         self.localizers = SharedLocalizers(Path(self._folder.name), store)
         self.config = config
-        self.pages: dict[int, Page] = {}
+        self.pages: dict[int, VisitorPage] = {}
         self._lock = Lock()
         self.new_session().close()  # raises here, not when the first visitor comes
         self._server = start_viser(host, port, self.access)
@@ -71,11 +71,11 @@ class AppServer:
         return Session(self.localizers, self.config)
 
     def _welcome(self, client: ClientHandle) -> None:
-        from tactile_loc_app.panels import Page
+        from tactile_loc_app.page.panels import VisitorPage
 
         if not self._is_here(client):
             return
-        page = Page(client, self.new_session())
+        page = VisitorPage(client, self.new_session())
         with self._lock:
             self.pages[client.client_id] = page
         if not self._is_here(client):  # left meanwhile, and maybe before the page was known

@@ -18,8 +18,11 @@ def test_the_page_is_served_until_a_signal_and_leaves_no_files(store_folder, tmp
     process = subprocess.Popen(
         command("app", "--object", "pin", "--port", "0"),
         env={**os.environ, "TACTILE_LOC_STORE": str(store_folder), "TMPDIR": str(tmp_path)},
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_ctrl_c,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=hear_ctrl_c,
+    )
     try:
         url = next(word for word in process.stdout.readline().split() if word.startswith("http"))
         assert url.startswith("http://127.0.0.1:")

@@ -16,9 +16,9 @@ from test_uploads import pack
 
 from tactile_loc_app.calibrator import Calibrator
 from tactile_loc_app.errors import AppError
+from tactile_loc_app.page.task_progress import TaskProgress
 from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers
-from tactile_loc_app.task_progress import TaskProgress
 
 BALLS = ball_set(7, px=80)
 DIAMETER_MM, MM_PER_PX = 2 * BALL_M / MM, 0.2
@@ -60,13 +60,16 @@ def test_photos_come_one_by_one_or_in_an_archive(filled):
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("notes.txt", b"no photo"), ("photo.png", b"no photo"), ("grey.png", encode_png(np.zeros((9, 9), np.uint8))),
-        (UNTOUCHED, encode_png(BALLS.background)), ("presses.csv", b"image,kind\n/etc/hostname,background\n"),
+        ("notes.txt", b"no photo"),
+        ("photo.png", b"no photo"),
+        ("grey.png", encode_png(np.zeros((9, 9), np.uint8))),
+        (UNTOUCHED, encode_png(BALLS.background)),
+        ("presses.csv", b"image,kind\n/etc/hostname,background\n"),
         ("presses.csv", b"image,kind,mesh\na.png,mesh,../part.stl\n"),
         ("some.zip", pack({"good.png": encode_png(BALLS.images[0]), "notes.txt": b"no photo"})),
         ("some.zip", pack({"a/1.png": encode_png(BALLS.images[0]), "b/1.png": encode_png(BALLS.images[1])})),
     ],
-)  # fmt: skip
+)
 def test_a_file_that_cannot_be_used_changes_nothing(filled, name, content):
     before = filled.names
     with pytest.raises(TactileLocError):
@@ -84,9 +87,16 @@ def test_the_photo_without_contact_has_an_own_name(filled):
 
 @pytest.mark.parametrize(
     ("name", "diameter_mm", "scale"),
-    [("", 6.0, 0.2), ("../mine", 6.0, 0.2), (".hidden", 6.0, 0.2), ("mine", 0.0, 0.2), ("mine", 6.0, -1.0),
-     ("mine", 0.8, 0.2), ("a\0b", 6.0, 0.2)],
-)  # fmt: skip
+    [
+        ("", 6.0, 0.2),
+        ("../mine", 6.0, 0.2),
+        (".hidden", 6.0, 0.2),
+        ("mine", 0.0, 0.2),
+        ("mine", 6.0, -1.0),
+        ("mine", 0.8, 0.2),
+        ("a\0b", 6.0, 0.2),
+    ],
+)
 def test_impossible_names_and_lengths_are_refused(filled, name, diameter_mm, scale):
     with pytest.raises(TactileLocError):
         filled.calibrate(name, diameter_mm, scale)

@@ -9,17 +9,34 @@ from pathlib import Path
 
 import pytest
 
-from tactile_loc_app import markdown
 from tactile_loc_app.export import _TEMPLATE
-from tactile_loc_app.markdown import Paragraph, escape
+from tactile_loc_app.page import markdown
+from tactile_loc_app.page.markdown import Paragraph, escape
 
 APP = Path(markdown.__file__).parent
 DRAWS_MARKUP = {"add_markdown", "add_html", "add_plotly", "add_uplot", "add_modal"}
 HOSTILE = (
-    "<iframe srcdoc='<script>parent.hacked=1</script>'>", "<img src=x onerror=hacked=1>", "[x](javascript:hacked=1)",
-    "![](http://evil.example/a.png)", "# big", "- a", "1. a", "a | b", "`a`", "**a**", "http://evil.example", "a\\b",
-    "www.evil.example", "me@evil.example", "&lt;b&gt;", "    indented", "a\n\n<b>b</b>", "~~a~~", "---", "{} {0}",
-)  # fmt: skip
+    "<iframe srcdoc='<script>parent.hacked=1</script>'>",
+    "<img src=x onerror=hacked=1>",
+    "[x](javascript:hacked=1)",
+    "![](http://evil.example/a.png)",
+    "# big",
+    "- a",
+    "1. a",
+    "a | b",
+    "`a`",
+    "**a**",
+    "http://evil.example",
+    "a\\b",
+    "www.evil.example",
+    "me@evil.example",
+    "&lt;b&gt;",
+    "    indented",
+    "a\n\n<b>b</b>",
+    "~~a~~",
+    "---",
+    "{} {0}",
+)
 
 
 @pytest.mark.parametrize("text", HOSTILE)

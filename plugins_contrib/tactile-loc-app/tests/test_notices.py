@@ -8,7 +8,7 @@ import threading
 import pytest
 from tactile_loc.plugin import TouchError
 
-from tactile_loc_app.notices import Notices, hide_folder, name_controls
+from tactile_loc_app.page.notices import Notices, hide_folder, name_controls
 
 library = logging.getLogger("tactile_loc.some.module")
 

@@ -21,12 +21,12 @@ from tactile_loc.io.images import encode_png
 from tactile_loc.plugin import ConfigError, MissingLibraryError, draw_rotations, make_transform, registry
 from test_uploads import pack
 
-from tactile_loc_app.follower import Follower
-from tactile_loc_app.pictures import colour_probability, paint_beside, paint_photo, paint_wide
-from tactile_loc_app.scene_view import choose_magnification, from_view, measure_height, to_view
+from tactile_loc_app.page.follower import Follower
+from tactile_loc_app.page.pictures import colour_probability, paint_beside, paint_photo, paint_wide
+from tactile_loc_app.page.scene_view import choose_magnification, from_view, measure_height, to_view
 
 if TYPE_CHECKING:
-    from tactile_loc_app.panels import Page
+    from tactile_loc_app.page.panels import VisitorPage
 
 MINI = "gelsight-mini"
 CONFIG = RunConfig.from_dict({"object": {"path": "pin"}, "sensor": MINI})
@@ -242,7 +242,7 @@ def test_visitors_press_locate_and_export(tmp_path, store):
         program.wait_until(lambda: not any(folder.exists() for folder in own), "files of visitors are left")
 
 
-def calibrate_in_the_page(visitor: program.Visitor, page: Page, folder: Path) -> None:
+def calibrate_in_the_page(visitor: program.Visitor, page: VisitorPage, folder: Path) -> None:
     """Calibrate a sensor from photos in the page, after a mistake, and use it."""
     balls, diameter_mm = ball_set(7, px=80), 2 * BALL_M / MM
     (folder / "untouched.png").write_bytes(encode_png(balls.background))

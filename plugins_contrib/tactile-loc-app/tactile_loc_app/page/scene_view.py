@@ -19,7 +19,7 @@ from tactile_loc import (
 )
 from tactile_loc.plugin import invert, make_transform, make_translation, quaternion_to_rotation, rotation_to_quaternion
 
-from tactile_loc_app.pictures import colour_probability
+from tactile_loc_app.page.pictures import colour_probability
 from tactile_loc_app.virtual_finger import Pose, Press
 
 if TYPE_CHECKING:
@@ -77,9 +77,15 @@ class SceneView:
     def _add_mesh(self, name: str, mesh: TriangleMesh, colour: tuple[int, int, int], **options: Any) -> Any:
         vertices = np.asarray(UNITS_PER_M * mesh.vertices_m, np.float32)
         return self.scene.add_mesh_simple(
-            name, vertices, mesh.faces.astype(np.uint32), color=colour, flat_shading=True, side="double", **PLAIN,
+            name,
+            vertices,
+            mesh.faces.astype(np.uint32),
+            color=colour,
+            flat_shading=True,
+            side="double",
+            **PLAIN,
             **options,
-        )  # fmt: skip
+        )
 
     def _look_at(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
         """Look at the middle of the object, in the part of the view that the controls leave free."""
@@ -95,9 +101,12 @@ class SceneView:
     def add_finger_gizmo(self, T_base_sensor: Pose, geometry: SensorGeometry) -> TransformControlsHandle:
         """Add the gizmo that drags the finger. Its origin is the middle of the gel, and its z axis points out of it."""
         self.finger_gizmo = self.scene.add_transform_controls(
-            "/gizmo", scale=self._size_gizmo(geometry), depth_test=False, opacity=0.85,
+            "/gizmo",
+            scale=self._size_gizmo(geometry),
+            depth_test=False,
+            opacity=0.85,
             **to_view(T_base_sensor @ make_translation(geometry.gel_middle_m)),
-        )  # fmt: skip
+        )
         return self.finger_gizmo
 
     def _size_gizmo(self, geometry: SensorGeometry) -> float:
@@ -135,7 +144,7 @@ class SceneView:
         faces = np.arange(len(housing), dtype=np.uint32).reshape(-1, 3)
         self.scene.add_mesh_simple(
             name, housing, faces, color=colour, opacity=opacity, flat_shading=True, side="double", **PLAIN
-        )  # fmt: skip
+        )
 
     # touches and results
 
@@ -210,7 +219,7 @@ class SceneView:
         line = np.stack([start, start + np.array([0, 0, way_m])])[None]
         self.scene.add_line_segments(
             "/next/way", np.asarray(UNITS_PER_M * line, np.float32), colors=NEXT, thickness=0.06
-        )  # fmt: skip
+        )
 
     # the prior
 

@@ -12,14 +12,14 @@ from tactile_loc import DEMO_OBJECTS, Localization, Units
 from tactile_loc.commands import format_mm, format_percent
 from tactile_loc.plugin import NoiseLevel, registry
 
-from tactile_loc_app.calibration_tab import CalibrationTab
 from tactile_loc_app.calibrator import MadeSensor
-from tactile_loc_app.file_controls import FileControls
-from tactile_loc_app.follower import Follower
-from tactile_loc_app.markdown import Paragraph, list_numbered
-from tactile_loc_app.notices import Notices
-from tactile_loc_app.pictures import EMPTY, paint_beside, paint_wide
-from tactile_loc_app.scene_view import SceneView, choose_magnification, from_view
+from tactile_loc_app.page.calibration_tab import CalibrationTab
+from tactile_loc_app.page.file_controls import FileControls
+from tactile_loc_app.page.follower import Follower
+from tactile_loc_app.page.markdown import Paragraph, list_numbered
+from tactile_loc_app.page.notices import Notices
+from tactile_loc_app.page.pictures import EMPTY, paint_beside, paint_wide
+from tactile_loc_app.page.scene_view import SceneView, choose_magnification, from_view
 from tactile_loc_app.session import Session
 from tactile_loc_app.uploads import limit_uploads, take_upload
 from tactile_loc_app.virtual_finger import Pose
@@ -33,7 +33,7 @@ ARCHIVE = "tactile-loc-result.zip"
 PRIOR_MM, PRIOR_DEG = 5.0, 15.0
 
 
-class Page:
+class VisitorPage:
     """The controls and the view of one visitor, with the visitor's session."""
 
     def __init__(self, client: ClientHandle, session: Session) -> None:
@@ -84,9 +84,11 @@ class Page:
             chosen = config.sensor.name if config.sensor.name in names else OWN
             self.sensors = gui.add_dropdown("Sensor", (*names, OWN), initial_value=chosen)
             self.sensor_path = gui.add_text(
-                "Sensor file", str(config.sensor.options.get("path", "")), visible=chosen == OWN,
+                "Sensor file",
+                str(config.sensor.options.get("path", "")),
+                visible=chosen == OWN,
                 hint="A sensor's .toml file or a calibration folder on this computer.",
-            )  # fmt: skip
+            )
             self.use_sensor = gui.add_button("Use this sensor file", visible=chosen == OWN)
             self.about = Paragraph(self.client)
         self.objects.on_update(self.notices.guard(self._choose_object))
@@ -302,9 +304,7 @@ class Page:
     def _clear_result(self) -> None:
         self.view.clear_result()
         self.status.fill("")
-        for handle in (
-            self.verdict, self.number, self.shown_touch, self.pose, self.compared, self.history, self.next
-        ):  # fmt: skip
+        for handle in (self.verdict, self.number, self.shown_touch, self.pose, self.compared, self.history, self.next):
             handle.visible = False
 
     def _suggest_next(self) -> None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, get_args
 from tactile_loc import DepthKind, DepthUnit, Touch
 from tactile_loc.commands import fold_line
 
-from tactile_loc_app.markdown import Paragraph
-from tactile_loc_app.notices import Notices
-from tactile_loc_app.pictures import EMPTY, paint_beside, paint_photo, paint_wide
+from tactile_loc_app.page.markdown import Paragraph
+from tactile_loc_app.page.notices import Notices
+from tactile_loc_app.page.pictures import EMPTY, paint_beside, paint_photo, paint_wide
 from tactile_loc_app.session import Session
 from tactile_loc_app.uploads import LARGEST_MB, take_upload
 

@@ -9,9 +9,9 @@ from tactile_loc import draw_circle, draw_reading
 
 from tactile_loc_app.calibrator import Calibrator, MadeSensor
 from tactile_loc_app.errors import AppError
-from tactile_loc_app.markdown import Paragraph, list_numbered
-from tactile_loc_app.notices import Notices
-from tactile_loc_app.pictures import EMPTY, render_figure
+from tactile_loc_app.page.markdown import Paragraph, list_numbered
+from tactile_loc_app.page.notices import Notices
+from tactile_loc_app.page.pictures import EMPTY, render_figure
 from tactile_loc_app.uploads import LARGEST_MB, take_upload
 
 if TYPE_CHECKING:
@@ -93,9 +93,13 @@ class CalibrationTab:
                 "Ball diameter (mm)", DIAMETER_MM, min=SMALLEST_MM, max=LARGEST_MM, step=1e-4
             )
             self.scale = gui.add_number(
-                "Size of a pixel (mm)", MM_PER_PX, min=SMALLEST_MM, max=LARGEST_MM, step=1e-6,
+                "Size of a pixel (mm)",
+                MM_PER_PX,
+                min=SMALLEST_MM,
+                max=LARGEST_MM,
+                step=1e-6,
                 hint="Press something of known length on the gel. Divide its length in mm by its length in pixels.",
-            )  # fmt: skip
+            )
             self.name = gui.add_text("Name", NAME)
 
     def _add_result_controls(self) -> None:

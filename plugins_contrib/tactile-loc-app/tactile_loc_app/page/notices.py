@@ -20,9 +20,14 @@ logger = logging.getLogger(__name__)
 
 SECONDS = 12.0  # for which a notification stays
 CONTROLS = {
-    "touch_unit": '"Unit of depths"', "touch_kind": '"Depths are"', "ball_radius": '"Ball diameter"',
-    "mm_per_px": '"Size of a pixel"', "camera": '"Camera"', "sensor": '"Sensor"', "units": '"Unit of own files"',
-}  # fmt: skip
+    "touch_unit": '"Unit of depths"',
+    "touch_kind": '"Depths are"',
+    "ball_radius": '"Ball diameter"',
+    "mm_per_px": '"Size of a pixel"',
+    "camera": '"Camera"',
+    "sensor": '"Sensor"',
+    "units": '"Unit of own files"',
+}
 """The page's control for each setting that messages of the library name."""
 
 

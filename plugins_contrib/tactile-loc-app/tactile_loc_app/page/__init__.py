@@ -1,0 +1,1 @@
+"""What a visitor sees: tabs, controls, pictures and notices."""
