@@ -30,12 +30,15 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape
     from tactile_loc.core.sensing.touch import Touch as Touch
     from tactile_loc.data import DEMO_OBJECTS as DEMO_OBJECTS
+    from tactile_loc.evaluation.jobs import JobOutcome as JobOutcome
     from tactile_loc.evaluation.jobs import QueuedJob as QueuedJob
     from tactile_loc.evaluation.jobs import resume_jobs as resume_jobs
     from tactile_loc.evaluation.metrics import PoseJudge as PoseJudge
     from tactile_loc.evaluation.recall.bop import BopScene as BopScene
     from tactile_loc.evaluation.recall.bop import write_bop as write_bop
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
+    from tactile_loc.evaluation.robot_touches import measure_noisily as measure_noisily
+    from tactile_loc.evaluation.robot_touches import touches_enough as touches_enough
     from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
     from tactile_loc.evaluation.summary import ExampleSummary as ExampleSummary
     from tactile_loc.evaluation.sweep.plan import Plan as Plan

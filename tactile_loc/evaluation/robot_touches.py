@@ -135,11 +135,14 @@ class RobotTouches:
         try:
             shape = ContactShape(depth, measured_m)
             return Touch(
-                shape, self.geometry, name, T_sensor_object=T,
+                shape,
+                self.geometry,
+                name,
+                T_sensor_object=T,
                 T_base_sensor=self.misplace(invert(T), *rng.normal(size=(2, 3))),
                 T_base_sensor_std_m=self.sensor_std_m or Touch.T_base_sensor_std_m,
                 T_base_sensor_std_rad=self.sensor_std_rad or Touch.T_base_sensor_std_rad,
-            )  # fmt: skip
+            )
         except TouchError as error:
             return error
 

@@ -229,8 +229,15 @@ def _list_choices(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _tabulate_posteriors(runs: Sequence[Run]) -> dict[str, Any]:
-    header = ["object", *map(_name_set, runs[0]["levels"]), "NLL (nats)", "uniform NLL (nats)", "entropy (nats)",
-              "expected error (mm)", "spread (mm)"]  # fmt: skip
+    header = [
+        "object",
+        *map(_name_set, runs[0]["levels"]),
+        "NLL (nats)",
+        "uniform NLL (nats)",
+        "entropy (nats)",
+        "expected error (mm)",
+        "spread (mm)",
+    ]
     rows = []
     for run in runs:
         held = [f"{100 * share:.0f} %" for share in run["coverage"]]

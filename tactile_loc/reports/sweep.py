@@ -20,8 +20,13 @@ MEDIAN = "_median_mm"
 LINES = ("chosen", "reg-1", "best-1", "reg-10", "best-10", "best-50", "closest")  # in the order of interest
 TABLE_LINES = ("best-1", "reg-1", "chosen", "closest")
 OTHERS = ("coverage_80", "nll_nats", "total_ms", "model_s", "grid_poses")
-TIMES = {"total_ms": "time per touch, one pose refined (ms)", "encode_ms": "encode (ms)", "match_ms": "match (ms)",
-         "refine_ms": "refine (ms)", "model_s": "building the model (s)"}  # fmt: skip
+TIMES = {
+    "total_ms": "time per touch, one pose refined (ms)",
+    "encode_ms": "encode (ms)",
+    "match_ms": "match (ms)",
+    "refine_ms": "refine (ms)",
+    "model_s": "building the model (s)",
+}
 UNITS = {"_mm": "mm", "_ms": "ms", "_s": "s", "_nats": "nats", "_share": "share"}
 MOST_BEST = 4  # number of objects whose best combination is named
 

@@ -197,9 +197,16 @@ def _draw_points(
     for label in place_labels(_locate_points(axes, found), [numbers[point.choices] for point in found]):
         at, best = found[label.members[0]], any(found[i] in front for i in label.members)
         axes.annotate(
-            label.text, (at.time_ms, at.error_mm), label.offset_pt, textcoords="offset points", ha=label.alignment,
-            size=8, color=INK, weight="bold" if best else "normal", zorder=4,
-        )  # fmt: skip
+            label.text,
+            (at.time_ms, at.error_mm),
+            label.offset_pt,
+            textcoords="offset points",
+            ha=label.alignment,
+            size=8,
+            color=INK,
+            weight="bold" if best else "normal",
+            zorder=4,
+        )
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(lambda value, _: f"{value:g}")
         axis.set_minor_formatter(lambda value, _: f"{value:g}" if _find_leading_digit(value) in (2, 5) else "")

@@ -12,7 +12,7 @@ from tactile_loc_cli.evaluate.jobs import Asked, Job, list_jobs, read_setting
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
-    from tactile_loc.evaluation.recall.examples import Examples
+    from tactile_loc.evaluation.recall.examples import ExampleSource
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable
     from tactile_loc.locate.localizer import Localizer
@@ -86,7 +86,7 @@ def _require_one_object(jobs: Sequence[Job], asked: Asked) -> None:
         raise ConfigError(f"--touches {asked.touches[0]} are of one object; give one --object")
 
 
-def _evaluate(job: Job, localizer: Localizer, examples: Examples, together: Sequence[int]) -> EvaluatedRun:
+def _evaluate(job: Job, localizer: Localizer, examples: ExampleSource, together: Sequence[int]) -> EvaluatedRun:
     from tactile_loc.evaluation.recall.evaluation import evaluate_recall
     from tactile_loc.evaluation.table import EvaluatedRun
 

@@ -17,7 +17,7 @@ from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
 from tactile_loc.evaluation.fusion import MOST_FUSED
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
 from tactile_loc.evaluation.protocol import save_in_shards
-from tactile_loc.evaluation.recall.examples import Example, Examples
+from tactile_loc.evaluation.recall.examples import ExampleSource, TouchedExample
 from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.evaluation.summary import RIGHT_M
 from tactile_loc.evaluation.table import ExampleTable, name_errors
@@ -57,7 +57,7 @@ class Located(NamedTuple):
 ARRAYS = (*Located._fields, "T_true", "refused")
 
 
-def evaluate_recall(localizer: Localizer, examples: Examples, together: Sequence[int]) -> ExampleTable:
+def evaluate_recall(localizer: Localizer, examples: ExampleSource, together: Sequence[int]) -> ExampleTable:
     """Locate each example from its first n touches, for each n of `together`, and measure all listed poses.
 
     The table has a row for each example and each number of touches that it has. The errors are those of the `first` and
@@ -83,7 +83,7 @@ def evaluate_recall(localizer: Localizer, examples: Examples, together: Sequence
 
 
 def _make_table(
-    localizer: Localizer, examples: Examples, together: tuple[int, ...], arrays: Mapping[str, NDArray[Any]]
+    localizer: Localizer, examples: ExampleSource, together: tuple[int, ...], arrays: Mapping[str, NDArray[Any]]
 ) -> ExampleTable:
     """Return the table of the arrays of all examples (E, C, ...), or (E, ...) if they are the same for all touches."""
     shape = arrays["verdict"].shape
@@ -105,7 +105,7 @@ def _make_table(
     return table.select(table["verdict"] != ABSENT)
 
 
-def make_recall_key(localizer: Localizer, examples: Examples, together: Sequence[int]) -> StageKey:
+def make_recall_key(localizer: Localizer, examples: ExampleSource, together: Sequence[int]) -> StageKey:
     """Return the store key of an evaluation, made from all inputs of its results."""
     settings = {key: value for key, value in localizer.config.resolve().items() if key not in ("object", "touch")}
     fitted = localizer.probabilities
@@ -128,7 +128,7 @@ class _ExampleLocator:
     """Locates examples, and measures the listed poses."""
 
     localizer: Localizer
-    examples: Examples
+    examples: ExampleSource
     together: tuple[int, ...]
 
     def locate_examples(self, numbers: range) -> list[NDArray[Any]]:
@@ -154,7 +154,7 @@ class _ExampleLocator:
             with suppress(GridError, TouchError):
                 localize_together(first[:n])
 
-    def _locate(self, example: Example, n: int) -> Located:
+    def _locate(self, example: TouchedExample, n: int) -> Located:
         """Locate an example from its first n touches."""
         some = example.observations[:n]
         if len(some) < n:
@@ -229,6 +229,6 @@ def _view_from_first(observations: Sequence[Observation], found: Localization) -
     return invert(np.asarray(first.T_base_sensor)) @ np.asarray(used.T_base_sensor) @ poses
 
 
-def _find_truth(example: Example) -> Poses:
+def _find_truth(example: TouchedExample) -> Poses:
     """Return the true pose (4, 4), metres, in the frame of the first sensor; NaN if this touch cannot be read."""
     return require_true_pose(example.observations[0][1]) if example.observations else np.full((4, 4), np.nan)

@@ -23,7 +23,7 @@ RENDERER = "raycast"
 
 
 @dataclass(frozen=True, eq=False)
-class Example:
+class TouchedExample:
     """Touches of one object at rest, each with its localizer and its true pose.
 
     `refused` is the number of presses that made no usable touch and do not count. If a touch cannot be read, `problem`
@@ -35,7 +35,7 @@ class Example:
     problem: str = ""
 
 
-class Examples(Protocol):
+class ExampleSource(Protocol):
     """A series of examples. Example number i is always the same."""
 
     @property
@@ -46,7 +46,7 @@ class Examples(Protocol):
     def labels(self) -> Mapping[str, Any]:
         """The `noise` or kind of the touches, and their `seed`, -1 without a seed."""
 
-    def draw(self, number: int) -> Example:
+    def draw(self, number: int) -> TouchedExample:
         """Return an example by its number, from 0."""
 
     def describe(self) -> dict[str, Any]:
@@ -72,7 +72,7 @@ class DrawnExamples:
         """The noise and the seed."""
         return {"noise": self.source.noise, "seed": self.source.seed}
 
-    def draw(self, number: int) -> Example:
+    def draw(self, number: int) -> TouchedExample:
         """Return an example by its number. Raises TouchError if hardly any press makes a touch."""
         rng = np.random.default_rng([self.source.seed, number])
         touches, refused = [], 0
@@ -80,7 +80,7 @@ class DrawnExamples:
             touch, more = self._draw_touch(f"example-{number:04d}-touch-{k + 1}", rng)
             touches.append((self.localizer, touch))
             refused += more
-        return Example(tuple(touches), refused)
+        return TouchedExample(tuple(touches), refused)
 
     def describe(self) -> dict[str, Any]:
         """Return what determines the examples, as JSON values."""

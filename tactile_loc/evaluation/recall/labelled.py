@@ -14,7 +14,7 @@ import numpy as np
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.recall.examples import Example
+from tactile_loc.evaluation.recall.examples import TouchedExample
 from tactile_loc.io.labelled_touches import LabelledTouch, read_labelled_touches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.touch_files import match_localizers, read_listed_touch
@@ -61,7 +61,7 @@ class LabelledExamples:
                 "the touches of one object at rest alike in the column 'example', or give a list of touches (.toml)"
             )
 
-    def draw(self, number: int) -> Example:
+    def draw(self, number: int) -> TouchedExample:
         """Return an example by its number. It ends before the first touch that cannot be read.
 
         Raises TouchError if only some of several touches have a sensor pose.
@@ -74,7 +74,7 @@ class LabelledExamples:
                 problem = str(error)
                 break
             touches.append(dataclasses.replace(touch, T_sensor_object=one.T_sensor_object))
-        return Example(tuple(zip(localizers, _place_sensors(touches), strict=False)), problem=problem)
+        return TouchedExample(tuple(zip(localizers, _place_sensors(touches), strict=False)), problem=problem)
 
     def describe(self) -> dict[str, Any]:
         """Return what determines the examples, as JSON values."""
@@ -104,7 +104,7 @@ def _place_sensors(touches: list[Touch]) -> list[Touch]:
     return [dataclasses.replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))) for touch in touches]
 
 
-def _describe_example(example: Example) -> list[Any]:
+def _describe_example(example: TouchedExample) -> list[Any]:
     return [*(_describe_touch(touch) for _, touch in example.observations), example.problem]
 
 

@@ -73,9 +73,12 @@ def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
         place, values = zip(*places, strict=True)
         (obj_config, obj), noise, seed = values[0][1], values[-2], values[-1]
         config = RunConfig(
-            object=obj_config, touch=TouchConfig(noise=noise), seed=seed, **plan.settings,
+            object=obj_config,
+            touch=TouchConfig(noise=noise),
+            seed=seed,
+            **plan.settings,
             **dict(zip(plan.slots, values[1:-2], strict=True)),
-        )  # fmt: skip
+        )
         key = make_combination_key(config, obj, plan.count, describe_components(config, described))
         combinations.append(Combination(obj.name, config, plan.count, key, place))
     return combinations, {obj.name: obj for _, obj in objects.values()}
@@ -93,11 +96,18 @@ def order_for_running(combinations: Iterable[Combination]) -> list[Combination]:
 def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, components: Mapping[str, Any]) -> str:
     """Return a hash of all inputs of a row; `components` is the result of `describe_components`."""
     settings = config.model_dump(mode="json", exclude={"object", "top"})
-    return hash_shortly({
-        "version": ROW_VERSION, "tactile-loc": version("tactile-loc"), "protocol": PROTOCOL_VERSION, "count": count,
-        "object": {"name": obj.name, **obj.describe()}, "settings": settings, "components": components,
-        "noise": make_noise(config.touch.noise).describe(),
-    })  # fmt: skip
+    return hash_shortly(
+        {
+            "version": ROW_VERSION,
+            "tactile-loc": version("tactile-loc"),
+            "protocol": PROTOCOL_VERSION,
+            "count": count,
+            "object": {"name": obj.name, **obj.describe()},
+            "settings": settings,
+            "components": components,
+            "noise": make_noise(config.touch.noise).describe(),
+        }
+    )
 
 
 def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any]] | None = None) -> dict[str, Any]:

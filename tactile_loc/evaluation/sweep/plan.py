@@ -88,8 +88,11 @@ class Plan:
         return {
             "object": [chosen.model_dump(mode="json") for chosen in self.objects],
             **{slot: [chosen.model_dump(mode="json") for chosen in choices] for slot, choices in self.slots.items()},
-            "noise": list(self.noises), "seed": list(self.seeds), "count": self.count, **self.settings,
-        }  # fmt: skip
+            "noise": list(self.noises),
+            "seed": list(self.seeds),
+            "count": self.count,
+            **self.settings,
+        }
 
 
 def _read_objects(entries: Sequence[Any], source: str) -> tuple[ObjectConfig, ...]:

@@ -14,7 +14,7 @@ from tactile_loc.core.runtime.errors import ConfigError, NoContactError
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
 from tactile_loc.evaluation.recall import evaluation as module
 from tactile_loc.evaluation.recall.evaluation import evaluate_recall, make_recall_key
-from tactile_loc.evaluation.recall.examples import DrawnExamples, Example
+from tactile_loc.evaluation.recall.examples import DrawnExamples, TouchedExample
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.summary import RIGHT_M
 from tactile_loc.evaluation.table import ExampleTable
@@ -106,12 +106,12 @@ class Troubled:
     count: int = 3
     labels: ClassVar = {"noise": "troubled", "seed": -1}
 
-    def draw(self, number: int) -> Example:
+    def draw(self, number: int) -> TouchedExample:
         observations = self.examples.draw(number).observations
         return [
-            Example(observations),
-            Example(observations[:1], problem="b.npz is damaged"),
-            Example(observations[:1]),
+            TouchedExample(observations),
+            TouchedExample(observations[:1], problem="b.npz is damaged"),
+            TouchedExample(observations[:1]),
         ][number]
 
     def describe(self) -> dict[str, str]:
