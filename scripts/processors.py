@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
+NUMERICAL = ("bases", "core", "evaluation", "locate", "planning", "plugins", "simulate", "slots", "tracking")
 FOLDERS = [
-    *(f"tests/{name}" for name in ("core", "locate", "plugins", "tasks", "evaluation", "library")),
-    "plugins_contrib/tactile-loc-benchmark/tests",
+    *(f"tests/{name}" for name in NUMERICAL),
+    *(f"plugins_contrib/tactile-loc-{name}/tests" for name in ("benchmark", "library")),
 ]
 PYTEST = ["-q", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-m", "not slow", *FOLDERS]
 NUMPY_LEVELS = ("X86_V2", "X86_V3", "X86_V4", "AVX512_ICL", "AVX512_SPR")  # the features that numpy has code for

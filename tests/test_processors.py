@@ -53,3 +53,7 @@ def test_answers_differ_if_a_verdict_or_a_certain_pose_does():
     expected = {"a": ["certain", near], "b": ["certain", near], "c": ["ambiguous", near], "d": ["ambiguous", near]}
     found = {"a": ["certain", near], "b": ["certain", far], "c": ["ambiguous", far], "d": ["certain", near]}
     assert processors.compare_answers(expected, found) == ["b", "d"]
+
+
+def test_the_folders_of_numerical_tests_exist():
+    assert [folder for folder in processors.FOLDERS if not (processors.ROOT / folder).is_dir()] == []
