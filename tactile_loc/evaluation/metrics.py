@@ -23,7 +23,7 @@ from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.evaluation.rolls import find_least_largest, find_least_mean
+from tactile_loc.core.poses.rolls import find_least_largest, find_least_mean
 
 FEW_SYMMETRIES = 8  # up to this number of symmetries, all are measured with all points
 ALIKE = 1.25  # symmetries are tried up to this multiple of the least root mean square distance
