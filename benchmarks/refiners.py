@@ -35,10 +35,11 @@ from tactile_loc.bases.cloud_refiner import Cloud, CloudRefiner, Registration
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.candidate import Candidate
+from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.metrics import SURFACE_POINTS, compute_adds
+from tactile_loc.evaluation.metrics import SURFACE_POINTS
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import load_object

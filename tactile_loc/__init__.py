@@ -30,15 +30,12 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape
     from tactile_loc.core.sensing.touch import Touch as Touch
     from tactile_loc.data import DEMO_OBJECTS as DEMO_OBJECTS
-    from tactile_loc.evaluation.jobs import JobOutcome as JobOutcome
     from tactile_loc.evaluation.jobs import QueuedJob as QueuedJob
     from tactile_loc.evaluation.jobs import resume_jobs as resume_jobs
     from tactile_loc.evaluation.metrics import PoseJudge as PoseJudge
     from tactile_loc.evaluation.recall.bop import BopScene as BopScene
     from tactile_loc.evaluation.recall.bop import write_bop as write_bop
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
-    from tactile_loc.evaluation.robot_touches import measure_noisily as measure_noisily
-    from tactile_loc.evaluation.robot_touches import touches_enough as touches_enough
     from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
     from tactile_loc.evaluation.summary import ExampleSummary as ExampleSummary
     from tactile_loc.evaluation.sweep.plan import Plan as Plan
@@ -113,11 +110,11 @@ if TYPE_CHECKING:
     from tactile_loc.store.keys import StageKey as StageKey
     from tactile_loc.store.keys import hash_code as hash_code
     from tactile_loc.store.store import StageStore as StageStore
+    from tactile_loc.tracking.frame_fusion import fuse_frames as fuse_frames
     from tactile_loc.tracking.live import LiveLocator as LiveLocator
     from tactile_loc.tracking.pose_modes import PoseModes as PoseModes
     from tactile_loc.tracking.replay import FolderReplay as FolderReplay
     from tactile_loc.tracking.replay import Replay as Replay
-    from tactile_loc.tracking.replay_modes import fuse_frames as fuse_frames
     from tactile_loc.tracking.tracked_pose import TrackedPose as TrackedPose
     from tactile_loc.tracking.tracker import Motion as Motion
     from tactile_loc.tracking.tracker import Tracker as Tracker
@@ -128,6 +125,7 @@ if TYPE_CHECKING:
     from tactile_loc.view.drawn_scene import DrawnScene as DrawnScene
     from tactile_loc.view.drawn_scene import DrawnSensor as DrawnSensor
     from tactile_loc.view.pictures import draw_result as draw_result
+    from tactile_loc.view.pictures import render_figure as render_figure
     from tactile_loc.view.pictures import save_figure as save_figure
 
 __version__: str

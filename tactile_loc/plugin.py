@@ -1,4 +1,4 @@
-"""The interface for plugin authors. A component and its package import only this module and `tactile_loc.testing`.
+"""The interface for plugin authors. A component imports only this module, and its tests `tactile_loc.testing`.
 
 The module offers the slots with their options, capabilities, arguments and results. It also offers the errors that
 components raise, and the helpers of the built-in components. Names are imported at their first use, so a package's

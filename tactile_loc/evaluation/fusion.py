@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import PosePosterior, require_pose_left
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.evaluation.metrics import PoseJudge, compute_adds
+from tactile_loc.evaluation.metrics import PoseJudge
 from tactile_loc.evaluation.protocol import describe_located, label_run, save_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.evaluation.table import ExampleTable, name_errors

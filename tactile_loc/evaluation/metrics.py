@@ -1,9 +1,7 @@
 """Errors of estimated poses, in metres of object surface, and metrics of posteriors.
 
-All errors take symmetry into account: an estimate is compared with every pose that is symmetric to the true one. ADD is
-the mean distance of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest distance (Hodan et al., ECCV
-2020). ADD-S is the mean distance to the nearest surface point, which ignores all differences between similar views. The
-metrics of a posterior are likelihood, credible level, entropy, spread and coverage.
+All errors take symmetry into account: see `core.poses.pose_errors`. The metrics of a posterior are likelihood, credible
+level, entropy, spread and coverage.
 
 The surface distance is the mean distance of the surface at the estimate from the surface at the true pose. It is ADD-S
 with the nearest point of the surface instead of the nearest sampled point, so it is 0 for the true pose.
@@ -22,13 +20,9 @@ from scipy.spatial.transform import Rotation
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.pose_errors import compute_adds, compute_mssd
 from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.poses.rolls import find_least_largest, find_least_mean
 
-FEW_SYMMETRIES = 8  # up to this number of symmetries, all are measured with all points
-ALIKE = 1.25  # symmetries are tried up to this multiple of the least root mean square distance
-TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried ones, points per try, fully measured ones
-AT_ONCE = 32  # transforms applied to all points at once
 POSTERIOR_METRICS = ("nll_nats", "credible_level", "entropy_nats", "expected_error_m", "spread_m")
 LEVELS = (0.5, 0.8, 0.95)
 SURFACE_POINTS = 10_000  # for ADD
@@ -37,61 +31,6 @@ GAP_POINTS = 2000  # points of the surface, whose distances are averaged
 STEP_M = 2e-5  # step along a continuous symmetry to find the nearest symmetric pose
 
 Points = NDArray[np.float64]
-
-
-def compute_add(points_m: Points, T1: Poses, T2: Poses) -> NDArray[np.float64]:
-    """Return ADD without symmetry (...,): mean distance, metres, of object points (P, 3) at two poses (..., 4, 4)."""
-    return np.linalg.norm(transform_points(T1, points_m) - transform_points(T2, points_m), axis=-1).mean(axis=-1)
-
-
-def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
-    """Return ADD (K,), metres, of estimates (K, 4, 4): the least over the poses symmetric to the true pose (4, 4).
-
-    If there are many symmetries, some with a small root mean square distance are selected. These symmetries are tried
-    with a few of the points (P, 3), and the best are measured with all points. For a continuous axis, the best roll is
-    searched. All points of a sphere move as its centre does.
-    """
-    if obj.symmetry.is_sphere:
-        return PoseMetric(obj).symmetric_distance(T_estimates, T_true[None])
-    if obj.symmetry.continuous_axis is not None:
-        return np.array([find_least_mean(obj, points_m, T, T_true) for T in T_estimates])
-    same = T_true @ obj.symmetry.list_elements()
-    chosen = np.broadcast_to(np.arange(len(same)), (len(T_estimates), len(same)))
-    if len(same) > FEW_SYMMETRIES:
-        chosen = _choose_alike(_measure_rms(obj, T_estimates, same))
-        few = points_m[:: max(1, len(points_m) // TRIED_POINTS)]
-        best = np.argsort(_average_distances(few, T_estimates[:, None] - same[chosen]), axis=1)[:, :MEASURED]
-        chosen = np.take_along_axis(chosen, best, axis=1)
-    return _average_distances(points_m, T_estimates[:, None] - same[chosen]).min(axis=1)
-
-
-def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
-    """Return MSSD (K,), metres: the largest surface distance between estimates (K, 4, 4) and the true pose (4, 4).
-
-    MSSD is exact if `corners_m` (V, 3) are the hull's (`TriangleMesh.hull_corners_m`), since the distance is a convex
-    function of the point. Symmetries are tried in order of root mean square distance, which is a lower bound of the
-    largest distance. So no better symmetry is left out. For a continuous axis, the best roll is searched. All points of
-    a sphere move as its centre does.
-    """
-    if obj.symmetry.is_sphere:
-        return PoseMetric(obj).symmetric_distance(T_estimates, T_true[None])
-    if obj.symmetry.continuous_axis is not None:
-        return np.array([find_least_largest(obj, corners_m, T, T_true) for T in T_estimates])
-    same = T_true @ obj.symmetry.list_elements()
-    rms = _measure_rms(obj, T_estimates, same)
-    return np.array([_find_least_largest(corners_m, T - same, r) for T, r in zip(T_estimates, rms, strict=True)])
-
-
-def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -> NDArray[np.float64]:
-    """Return ADD-S (ADI) (K,), metres, of estimates (K, 4, 4) and the true pose (4, 4).
-
-    This is the mean distance from object points (P, 3) at the true pose to the nearest point at the estimate. The mean
-    is over every `every`-th point, but any point can be the nearest.
-    """
-    from scipy.spatial import cKDTree
-
-    tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame
-    return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
 
 
 def compute_surface_distances(obj: ObjectModel, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
@@ -154,49 +93,6 @@ def _build_scene(mesh: TriangleMesh) -> Any:
     vertices_mm = (1e3 * (mesh.vertices_m - mesh.centroid_m)).astype(np.float32)
     scene.add_triangles(Tensor.from_numpy(vertices_mm), Tensor.from_numpy(mesh.faces.astype(np.uint32)))
     return scene
-
-
-def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float64]:
-    """Return the root mean square surface distances (K, E), metres, between estimates (K, 4, 4) and poses (E, 4, 4)."""
-    from scipy.spatial.distance import cdist
-
-    metric = PoseMetric(obj)
-    distances: NDArray[np.float64] = cdist(metric.embed(T_estimates), metric.embed(same))
-    return distances
-
-
-def _choose_alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Choose TRIED of the E symmetries for each estimate, spread evenly over those near the least distance."""
-    order = np.argsort(rms_m, axis=1)
-    least = np.take_along_axis(rms_m, order[:, :1], axis=1)
-    count = (rms_m <= ALIKE * least).sum(axis=1)
-    steps = np.linspace(0.0, 1.0, TRIED)[None] * (count[:, None] - 1)
-    return np.take_along_axis(order, steps.astype(np.int64), axis=1)
-
-
-def _measure_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
-    """Return the distances (D, P), metres, of points (P, 3) between poses whose matrices differ by (D, 4, 4)."""
-    moved = difference[:, :3, :3] @ points_m.T + difference[:, :3, 3:]
-    return np.sqrt(np.einsum("dip,dip->dp", moved, moved))
-
-
-def _average_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
-    """Return mean distances (...,), metres, of points (P, 3) between poses whose matrices differ by (..., 4, 4)."""
-    flat = difference.reshape(-1, 4, 4)
-    means = [_measure_distances(points_m, flat[i : i + AT_ONCE]).mean(axis=1) for i in range(0, len(flat), AT_ONCE)]
-    return np.concatenate(means).reshape(difference.shape[:-2])
-
-
-def _find_least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.float64]) -> float:
-    """Return the least, over E differences of poses (E, 4, 4), of the largest distance of any corner (V, 3), metres."""
-    order = np.argsort(rms_m)
-    least = np.inf
-    for start in range(0, len(order), AT_ONCE):
-        some = order[start : start + AT_ONCE]
-        if rms_m[some[0]] >= least:
-            break
-        least = min(least, float(_measure_distances(corners_m, difference[some]).max(axis=1).min()))
-    return least
 
 
 def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:

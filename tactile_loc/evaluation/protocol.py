@@ -13,19 +13,13 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid
+from tactile_loc.core.poses.pose_errors import compute_add_s, compute_adds, compute_mssd
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.ambiguity import choose_judging_noise, measure_ambiguity
-from tactile_loc.evaluation.metrics import (
-    POSTERIOR_METRICS,
-    PoseJudge,
-    compute_add_s,
-    compute_adds,
-    compute_mssd,
-    measure_posterior,
-)
+from tactile_loc.evaluation.metrics import POSTERIOR_METRICS, PoseJudge, measure_posterior
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer

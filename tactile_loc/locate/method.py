@@ -94,7 +94,7 @@ class Refinement:
         if not masks and (len(views) == 1 or not self.is_joint):
             if prior is None:
                 return self.refiner.refine_together(views, candidates)
-            return self.refiner.refine_expected(views, candidates, prior)
+            return self.refiner.refine_with_prior(views, candidates, prior)
         return self.registration.refine(views, np.stack([candidate.T_sensor_object for candidate in candidates]), prior)
 
     def refine_modes(

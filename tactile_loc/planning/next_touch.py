@@ -26,9 +26,9 @@ from tactile_loc.core.sensing.gel_surface import deform_gel, mark_touching
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.approach_files import Approach
-from tactile_loc.locate.probability.touch_evidence import compare_contacts, compare_elastic_contacts
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.planning.clearance import Clearance
+from tactile_loc.planning.touch_evidence import compare_contacts, compare_elastic_contacts
 from tactile_loc.slots.registry import registry
 from tactile_loc.slots.renderer import Renderer
 from tactile_loc.tracking.pose_modes import PoseModes, compute_entropy

@@ -52,7 +52,7 @@ class Refiner(Component):
         best = ious.argmax(axis=0)
         return [rows[b][k] for k, b in enumerate(best)]
 
-    def refine_expected(
+    def refine_with_prior(
         self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior
     ) -> list[RefinedPose]:
         """Refine candidates as `refine_together` does, given a `prior` over poses in the first touch's sensor frame.

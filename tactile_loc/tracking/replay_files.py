@@ -16,6 +16,7 @@ from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.touch_files import make_pose_cells, write_csv
 from tactile_loc.store.files import write_json
+from tactile_loc.tracking.frame_fusion import RestPose, fuse_frames, track_frames
 from tactile_loc.tracking.replay import (
     Estimator,
     FolderReplay,
@@ -27,7 +28,6 @@ from tactile_loc.tracking.replay import (
     require_located,
 )
 from tactile_loc.tracking.replay_journal import open_journal
-from tactile_loc.tracking.replay_modes import RestPose, fuse_frames, track_frames
 
 log = logging.getLogger(__name__)
 

@@ -25,7 +25,7 @@ from tactile_loc.view.drawn_scene import (
     move_triangles,
 )
 from tactile_loc.view.pictures import draw_contact_shape, draw_outline, make_figure
-from tactile_loc.view.pose_panel import choose_view, paint, thicken
+from tactile_loc.view.pose_panel import choose_view, fit_bounds, paint, thicken
 from tactile_loc.view.raytracing import Bounds, Tracer, Viewpoint, average, shade, unmultiply
 
 if TYPE_CHECKING:
@@ -124,7 +124,9 @@ class _SharedView:
         view = choose_view(scene.mesh, scene.poses[0])
         posed = [move_triangles(scene.mesh.triangles_m, T) for T in ghosts]
         sensors = [part for sensor in scene.sensors for part in (sensor.gel_m, sensor.housing_m)]
-        return cls(scene, view, _fit_bounds(view, [1e3 * part for part in (scene.object_m, *posed, *sensors)]))
+        return cls(
+            scene, view, fit_bounds(view, [1e3 * part for part in (scene.object_m, *posed, *sensors)], MARGIN, MARGIN)
+        )
 
     @cached_property
     def shape(self) -> tuple[int, int]:
@@ -183,14 +185,6 @@ class _SharedView:
         lines = np.zeros((*self.shape, 4), np.float32)
         paint(lines, thicken(seen.find_edges(self.step_mm)), TRUTH, 1.0)
         return _blend(image, average(lines, SUPERSAMPLE), TRUTH_OPACITY)
-
-
-def _fit_bounds(view: Viewpoint, surfaces: Sequence[Array]) -> Bounds:
-    """Return the borders of a picture that shows all surfaces, mm."""
-    flat = np.concatenate([view.project(triangles).reshape(-1, 2) for triangles in surfaces])
-    (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
-    margin = MARGIN * max(right - left, top - bottom)
-    return left - margin, right + margin, bottom - margin, top + margin
 
 
 def _blend(below: Image, above: Image, opacity: float) -> Image:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,7 @@ def draw_pose(axes: Axes, scene: DrawnScene) -> None:
     sensor = scene.sensors[0]
     estimate, floor = 1e3 * scene.object_m, [1e3 * sensor.gel_m, 1e3 * sensor.housing_m]
     truth = None if scene.truth_m is None else 1e3 * scene.truth_m
-    bounds = _fit_bounds(view, [s for s in (estimate, truth, *floor) if s is not None])
+    bounds = fit_bounds(view, [s for s in (estimate, truth, *floor) if s is not None], 0.17, 0.051)
     shape = _choose_size(bounds)
     tracer = Tracer([estimate, *floor], view)
     seen = tracer.look(bounds, shape)
@@ -61,11 +62,12 @@ def choose_view(mesh: TriangleMesh, T: Array, elevation_deg: float = Viewpoint.e
     return max((Viewpoint(azimuth_deg, elevation_deg) for azimuth_deg in AZIMUTHS_DEG), key=rate)
 
 
-def _fit_bounds(view: Viewpoint, surfaces: list[Array]) -> Bounds:
-    flat = np.concatenate([view.project(s).reshape(-1, 2) for s in surfaces])
+def fit_bounds(view: Viewpoint, surfaces: Sequence[Array], margin: float, top_margin: float) -> Bounds:
+    """Return the borders of a picture that shows all surfaces, mm. Margins are shares of the longer side."""
+    flat = np.concatenate([view.project(triangles).reshape(-1, 2) for triangles in surfaces])
     (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
-    margin = 0.17 * max(right - left, top - bottom)
-    return left - margin, right + margin, bottom - margin, top + 0.3 * margin
+    side = max(right - left, top - bottom)
+    return left - margin * side, right + margin * side, bottom - margin * side, top + top_margin * side
 
 
 def _choose_size(bounds: Bounds) -> tuple[int, int]:

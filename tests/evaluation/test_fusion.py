@@ -83,7 +83,7 @@ def test_errors_exist_for_every_example_contact_count_and_line(evaluation):
 
 
 def test_one_contact_has_the_error_of_the_single_touch(evaluation, pipe):
-    from tactile_loc.evaluation.metrics import compute_adds
+    from tactile_loc.core.poses.pose_errors import compute_adds
 
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
     for example in range(COUNT):
@@ -96,7 +96,7 @@ def test_one_contact_has_the_error_of_the_single_touch(evaluation, pipe):
 
 
 def test_errors_of_several_contacts_are_those_of_the_fused_posterior(evaluation, pipe):
-    from tactile_loc.evaluation.metrics import compute_adds
+    from tactile_loc.core.poses.pose_errors import compute_adds
 
     points_m = pipe.object.mesh.sample(20_000, np.random.default_rng(9))
     touches = [SOURCE.draw_touch(pipe, MOST_FUSED * 2 + k) for k in range(4)]

@@ -70,7 +70,7 @@ def test_lines_have_different_errors(evaluation):
 
 
 def test_errors_equal_the_distances_of_the_poses(evaluation, localizer):
-    from tactile_loc.evaluation.metrics import compute_adds
+    from tactile_loc.core.poses.pose_errors import compute_adds
 
     points_m = localizer.object.mesh.sample(20_000, np.random.default_rng(9))
     for number in range(COUNT):
@@ -83,7 +83,7 @@ def test_errors_equal_the_distances_of_the_poses(evaluation, localizer):
 
 
 def test_the_closest_line_uses_the_nearest_pose_of_the_whole_grid(evaluation, localizer):
-    from tactile_loc.evaluation.metrics import compute_adds
+    from tactile_loc.core.poses.pose_errors import compute_adds
 
     points_m = PoseJudge(localizer.object).points_m
     for number in range(COUNT):

@@ -21,9 +21,9 @@ from tactile_loc_cli.options import RunOptions, declare
 if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig
     from tactile_loc.io.streams.recordings import Contents
+    from tactile_loc.tracking.frame_fusion import RestPose
     from tactile_loc.tracking.replay import ReplaySource
     from tactile_loc.tracking.replay_files import Replayed, ReplayOutput
-    from tactile_loc.tracking.replay_modes import RestPose
 
 logger = logging.getLogger(__name__)
 
@@ -247,7 +247,7 @@ def _require_free(contents: Contents, recording: Path, out: ReplayOutput) -> Non
 
 def _report(found: Replayed, opened: _Opened) -> None:
     """Write the number of images by outcome, the fused pose, and the reasons of refusals; warn of doubtful results."""
-    from tactile_loc.tracking.replay_modes import measure_scatter_m
+    from tactile_loc.tracking.frame_fusion import measure_scatter_m
 
     summary, about = found.summary, opened.source.about
     finished = f"; {found.resumed} of them were already finished" if found.resumed else ""

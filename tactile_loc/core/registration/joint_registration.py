@@ -25,15 +25,15 @@ from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.registration.gauss_newton import (
+from tactile_loc.core.registration.observations import MILLI, observe
+from tactile_loc.core.registration.prior_factors import PriorFactors, fit_prior_factors
+from tactile_loc.core.registration.registration_kernel import (
     NO_FACTORS,
     SETTLED_MM,
     RegisteredPoses,
     RegistrationProblem,
     Schedule,
 )
-from tactile_loc.core.registration.observations import MILLI, observe
-from tactile_loc.core.registration.prior_factors import PriorFactors, fit_prior_factors
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.scene import View
 

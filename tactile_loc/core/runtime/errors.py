@@ -77,10 +77,6 @@ class ConfigError(TactileLocError):
     """A configuration or option is unknown or has a wrong type."""
 
 
-class UploadError(TactileLocError):
-    """A file that was uploaded to the interactive page is too large, has no name, or is a damaged archive."""
-
-
 class OutputError(TactileLocError):
     """Results cannot be written to the chosen place."""
 

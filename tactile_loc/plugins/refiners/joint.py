@@ -40,7 +40,7 @@ class JointRefiner(Refiner):
         """Refine candidates against several touches. A candidate's own pose is kept if it fits better."""
         return self._refine(views, candidates, None)
 
-    def refine_expected(
+    def refine_with_prior(
         self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior
     ) -> list[RefinedPose]:
         """Refine candidates against several touches. The prior decides where the touches leave a pose open."""

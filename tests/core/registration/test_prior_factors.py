@@ -7,9 +7,9 @@ import pytest
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about, rotation_angle
 from tactile_loc.core.poses.priors import GaussianPrior, RegionPrior
-from tactile_loc.core.registration.gauss_newton import RegistrationProblem
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.registration.prior_factors import draw_around, fit_prior_factors
+from tactile_loc.core.registration.registration_kernel import RegistrationProblem
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from tactile_loc import draw_circle, draw_reading
+from tactile_loc import draw_circle, draw_reading, render_figure
 
 from tactile_loc_app.calibrator import Calibrator, MadeSensor
 from tactile_loc_app.errors import AppError
 from tactile_loc_app.page.markdown import Paragraph, list_numbered
 from tactile_loc_app.page.notices import Notices
-from tactile_loc_app.page.pictures import EMPTY, render_figure
+from tactile_loc_app.page.pictures import EMPTY
 from tactile_loc_app.uploads import LARGEST_MB, take_upload
 
 if TYPE_CHECKING:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from io import BytesIO
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from tactile_loc import ContactShape, SensorGeometry, paint_shape
 
 WIDE_PX, GAP_PX = 288, 12  # long side of one picture, and the gap between two
@@ -42,10 +38,3 @@ def colour_probability(probability: float, most: float) -> tuple[int, int, int]:
 
     red, green, blue, _ = colormaps["plasma"](0.1 + 0.75 * probability / max(most, 1e-12), bytes=True)
     return int(red), int(green), int(blue)
-
-
-def render_figure(figure: Any) -> Picture:
-    """Return a figure of matplotlib as a picture (H, W, 3)."""
-    file = BytesIO()
-    figure.savefig(file, format="png")
-    return np.asarray(Image.open(file).convert("RGB"))

@@ -13,8 +13,8 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import FrameError, NoContactError, RecordingError, TouchError
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.tracking.frame_fusion import fuse_frames, measure_scatter_m, track_frames
 from tactile_loc.tracking.replay import ReplayedFrame, ReplayFrame
-from tactile_loc.tracking.replay_modes import fuse_frames, measure_scatter_m, track_frames
 
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.1, 0.2])
 COUNT = 5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.registration.gauss_newton import add_transformed, solve
+from tactile_loc.core.registration.registration_kernel import add_transformed, solve
 
 
 @pytest.fixture
