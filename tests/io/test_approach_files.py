@@ -37,11 +37,6 @@ def test_an_approach_is_a_pose_in_the_base_or_a_motion_from_the_last_touch(liste
     assert np.allclose(third.T_base_sensor[:3, 3], [1e-3, 2e-3, 3e-3])
 
 
-def test_a_list_of_motions_needs_no_pose_in_the_base(listed):
-    (only,) = read_approaches(listed(f"[[approach]]\nT_sensor_next = {MOTION.tolist()}\n"))
-    assert np.allclose(only.T_base_sensor, MOTION)
-
-
 @pytest.mark.parametrize(
     ("text", "values"),
     [
@@ -57,13 +52,15 @@ def test_a_list_of_motions_needs_no_pose_in_the_base(listed):
             ("approach 1", "T_sensor_next", "base"),
         ),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_approach_gives_a_one_sentence_error(listed, text, values):
     with pytest.raises(ConfigError, match=naming(*values)):
         read_approaches(listed(text), START)
 
 
-def test_a_pose_in_the_base_needs_the_last_pose_of_the_sensor(listed):
+def test_a_pose_in_the_base_needs_the_last_pose_of_the_sensor_and_a_motion_does_not(listed):
+    (only,) = read_approaches(listed(f"[[approach]]\nT_sensor_next = {MOTION.tolist()}\n"))
+    assert np.allclose(only.T_base_sensor, MOTION)
     with pytest.raises(ConfigError, match=naming("poses.toml", "approach 1", "T_sensor_next")):
         read_approaches(listed("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n"))
     with pytest.raises(ConfigError, match=r"nowhere\.toml"):
@@ -73,10 +70,7 @@ def test_a_pose_in_the_base_needs_the_last_pose_of_the_sensor(listed):
 @pytest.mark.parametrize("T_base_first", [None, START])
 def test_written_approaches_are_read_again(tmp_path, T_base_first):
     """They are in the frame of the last touch if its pose in the base is unknown."""
-    written = [
-        Approach(MOTION, 8e-4, 0.04, np.inf, "left"),
-        Approach(START @ MOTION, cost=2.0),
-    ]
+    written = [Approach(MOTION, 8e-4, 0.04, np.inf, "left"), Approach(START @ MOTION, cost=2.0)]
     path = write_approaches(tmp_path / "approaches.toml", written, in_base=T_base_first is not None)
     read = read_approaches(path, T_base_first)
     assert [one.name for one in read] == ["left", "approach 2"]  # a name is made up

@@ -7,7 +7,6 @@ from pydantic import ValidationError
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import RunConfig, parse_overrides, parse_settings
 from tactile_loc.io.options import TUNABLE
-from tactile_loc.io.toml import read_toml
 from tactile_loc.slots.registry import SLOTS
 
 
@@ -18,41 +17,44 @@ def test_an_empty_table_gives_a_complete_configuration():
     assert RunConfig() == config
 
 
-@pytest.mark.parametrize("written", [
-    {"name": "icp", "max_iterations": 7}, {"name": "icp", "options": {"max_iterations": 7}},
-])  # fmt: skip
-def test_a_slot_may_be_flat_or_nested(written):
+@pytest.mark.parametrize(
+    "written", [{"name": "icp", "max_iterations": 7}, {"name": "icp", "options": {"max_iterations": 7}}, "icp"]
+)
+def test_a_slot_may_be_flat_or_nested_or_a_name_alone(written):
     slot = RunConfig.from_dict({"refiner": written}).refiner
-    assert (slot.name, slot.options) == ("icp", {"max_iterations": 7})
-
-
-def test_a_slot_may_be_a_name_alone():
-    slot = RunConfig.from_dict({"refiner": "none"}).refiner
-    assert (slot.name, slot.options) == ("none", {})
+    assert (slot.name, slot.options) == ("icp", {} if written == "icp" else {"max_iterations": 7})
 
 
 def test_a_value_that_is_set_leaves_the_other_defaults():
     config = RunConfig.from_dict({"top": 3, "object": {"units": "mm"}})
     assert (config.top, config.object.units, config.object.path) == (3, "mm", RunConfig().object.path)
     assert config.refiner == RunConfig().refiner
+    with pytest.raises(ValidationError, match="frozen"):
+        config.top = 4
 
 
-@pytest.mark.parametrize(("values", "named"), [
-    ({"refinr": "icp"}, "'refinr'.*'refiner'"),
-    ({"top": 0}, "top cannot be 0"),
-    ({"top": "ten"}, "top cannot be 'ten'"),
-    ({"seed": -1}, "seed cannot be -1"),
-    ({"shape_px": 8}, "shape_px cannot be 8"),
-    ({"temperature": 0}, "temperature cannot be 0"),
-    ({"object": {"units": "furlong"}}, "object.units cannot be 'furlong'"),
-    ({"object": {"file": "x.stl"}}, "object.file"),
-    ({"object": "pin"}, "object cannot be 'pin'"),
-    ({"touch": {"unit": "cm"}}, "touch.unit"),
-    ({"refiner": 3}, "refiner cannot be 3"),
-    ({"refiner": None}, "refiner cannot be None"),
-    ({"refiner": {"max_iterations": 7}}, "refiner.name"),
-    ({"refiner": {"name": "icp", "options": {}, "reach": 1}}, "refiner.reach"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({"refinr": "icp"}, "'refinr'.*'refiner'"),
+        ({"top": 0}, "top cannot be 0"),
+        ({"top": "ten"}, "top cannot be 'ten'"),
+        ({"seed": -1}, "seed cannot be -1"),
+        ({"shape_px": 8}, "shape_px cannot be 8"),
+        ({"temperature": 0}, "temperature cannot be 0"),
+        ({"object": {"units": "furlong"}}, "object.units cannot be 'furlong'"),
+        ({"object": {"file": "x.stl"}}, "object.file"),
+        ({"object": "pin"}, "object cannot be 'pin'"),
+        ({"touch": {"unit": "cm"}}, "touch.unit"),
+        ({"refiner": 3}, "refiner cannot be 3"),
+        ({"refiner": None}, "refiner cannot be None"),
+        ({"refiner": {"max_iterations": 7}}, "refiner.name"),
+        ({"refiner": {"name": "icp", "options": {}, "reach": 1}}, "refiner.reach"),
+        ({"search": {"registred": 5}}, naming("search.registred", "registered")),
+        ({"search": {"registered": 0}}, naming("search.registered", 0, 1)),
+        ({"drawing": "papr"}, naming("drawing", "'papr'", "'paper'")),
+    ],
+)
 def test_a_bad_value_is_refused_with_its_source_and_entry(values, named):
     with pytest.raises(ConfigError, match=named) as refused:
         RunConfig.from_dict(values, "run.toml")
@@ -68,24 +70,18 @@ def test_a_file_is_read(tmp_path):
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path):
-    with pytest.raises(ConfigError, match=naming(tmp_path / "none.toml")):
-        RunConfig.from_toml(tmp_path / "none.toml")
-    with pytest.raises(ConfigError, match=naming(tmp_path)):
-        read_toml(tmp_path)
-    (tmp_path / "bad.toml").write_text("top = = 3")
-    with pytest.raises(ConfigError, match=naming("bad.toml", "TOML", "line 1")):
-        read_toml(tmp_path / "bad.toml")
-    (tmp_path / "binary.toml").write_bytes(b"\xfftop")
-    with pytest.raises(ConfigError, match=naming("binary.toml", "0xff")):
-        read_toml(tmp_path / "binary.toml")
-    (tmp_path / "typo.toml").write_text("tpo = 3")
-    with pytest.raises(ConfigError, match=naming("typo.toml", "'tpo'", "'top'")):
-        RunConfig.from_toml(tmp_path / "typo.toml")
-
-
-def test_a_configuration_cannot_be_changed():
-    with pytest.raises(ValidationError, match="frozen"):
-        RunConfig().top = 3
+    contents = {
+        "bad.toml": (b"top = = 3", ["TOML", "line 1"]),
+        "binary.toml": (b"\xfftop", ["0xff"]),
+        "typo.toml": (b"tpo = 3", ["'tpo'", "'top'"]),
+        "none.toml": (None, [tmp_path / "none.toml"]),
+        "": (None, [tmp_path]),
+    }
+    for name, (content, words) in contents.items():
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(ConfigError, match=naming(name, *words)):
+            RunConfig.from_toml(tmp_path / name)
 
 
 def test_overrides_are_read_as_toml_or_as_text():
@@ -105,19 +101,13 @@ def test_overrides_are_read_as_toml_or_as_text():
         "encoder": {"signal": "depth"},
     }
     assert parse_overrides([]) == {}
-
-
-def test_the_last_override_wins():
     assert parse_overrides(["grid.spacing_mm=3", "grid.spacing_mm=4"]) == {"grid": {"spacing_mm": 4}}
 
 
-@pytest.mark.parametrize("word", ["grid", "grid.face", "grid=face", "=3", "grid.=3", ".face=3", "grid. =3"])
-def test_overrides_of_another_form_are_refused(word):
-    with pytest.raises(ConfigError):
-        parse_overrides([word])
-
-
-def test_an_override_of_an_unknown_slot_is_refused_with_the_nearest_slot():
+def test_overrides_of_another_form_or_an_unknown_slot_are_refused():
+    for word in ("grid", "grid.face", "grid=face", "=3", "grid.=3", ".face=3", "grid. =3"):
+        with pytest.raises(ConfigError):
+            parse_overrides([word])
     with pytest.raises(ConfigError, match=naming("'refinr'", "'refinr.walls=true'", "'refiner'")):
         parse_overrides(["refinr.walls=true"])
 
@@ -128,8 +118,6 @@ def test_plain_settings_are_separated_from_options_of_components():
         {"drawing": "paper", "shape_px": 96},
         ["grid.spacing_mm=3", "grid=face", "drawing"],
     )
-    with pytest.raises(ConfigError, match=naming("drawing", "'papr'", "'paper'")):
-        RunConfig.from_dict({"drawing": "papr"})
 
 
 def test_tuning_numbers_are_tables_of_the_configuration():
@@ -140,13 +128,3 @@ def test_tuning_numbers_are_tables_of_the_configuration():
     assert (config.search.registered, config.tracker.modes, config.hypotheses.refined) == (50, 3, 5)
     with pytest.raises(ConfigError, match=naming("'search'")):
         parse_overrides(["search.registered=50"])
-
-
-@pytest.mark.parametrize(
-    ("table", "values"),
-    [({"registred": 5}, ("search.registred", "registered")), ({"registered": 0}, ("search.registered", 0, 1))],
-    ids=["unknown", "out of range"],
-)
-def test_an_impossible_tuning_number_is_refused(table, values):
-    with pytest.raises(ConfigError, match=naming(*values)):
-        RunConfig.from_dict({"search": table})

@@ -57,15 +57,12 @@ def test_ambiguous_numbers_are_refused(tmp_path, text, words):
         read_number(read(tmp_path / "table.csv", text).rows[0], "a", TouchError)
 
 
-def test_a_missing_column_is_named_with_the_others():
+def test_only_finite_numbers_are_read_and_missing_columns_are_named_with_the_others():
+    for cell in ("", "east", "nan", "inf"):
+        with pytest.raises(FrameError, match=naming("x_m", cell)):
+            read_number({"x_m": cell}, "x_m", FrameError)
     with pytest.raises(TouchError, match=naming("t.csv", "'x_mm'", "x_m, y")):
         require_columns(Path("t.csv"), ["x_m", "y"], ["y", "x_mm"], TouchError)
-
-
-@pytest.mark.parametrize("cell", ["", "east", "nan", "inf"])
-def test_only_finite_numbers_are_read(cell):
-    with pytest.raises(FrameError, match=naming("x_m", cell)):
-        read_number({"x_m": cell}, "x_m", FrameError)
 
 
 def test_errors_have_the_class_and_the_noun_of_the_caller(tmp_path):

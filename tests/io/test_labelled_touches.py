@@ -69,15 +69,20 @@ def test_the_folder_and_the_poses_of_simulate_are_read(folder):
         np.testing.assert_array_equal(read[0][0].T_sensor_object, T)
 
 
-def test_a_list_is_one_example_and_poses_follow_from_the_sensors_poses(folder):
+def test_a_list_is_one_example_and_poses_are_stated_or_follow_from_the_sensors_poses(folder):
     moved = BASE @ make_transform(np.eye(3), [0.01, 0, 0])
     path = folder / "touches.toml"
-    path.write_text(
-        f'[[touch]]\npath = "b.npz"\n[[touch]]\npath = "a.npz"\nT_base_sensor = {moved.tolist()}\n'
-    )  # b.npz has both poses
+    first, second = '[[touch]]\npath = "b.npz"\n', '[[touch]]\npath = "a.npz"\n'  # b.npz has both poses
+    path.write_text(f"{first}{second}T_base_sensor = {moved.tolist()}\n")
     ((b, a),) = read_labelled_touches(path)
     np.testing.assert_array_equal(b.T_sensor_object, T)
     np.testing.assert_allclose(a.T_sensor_object, invert(moved) @ BASE @ T, atol=1e-12)
+    path.write_text(f"{second}T_sensor_object = {T.tolist()}\n")
+    ((stated,),) = read_labelled_touches(path)
+    np.testing.assert_array_equal(stated.T_sensor_object, T)
+    path.write_text(second)
+    with pytest.raises(TouchError, match=naming("touch 1", "T_sensor_object")):
+        read_labelled_touches(path)
 
 
 def test_in_a_folder_a_list_comes_before_the_poses_of_simulate(folder):
@@ -85,13 +90,6 @@ def test_in_a_folder_a_list_comes_before_the_poses_of_simulate(folder):
     rows = [f'[[touch]]\npath = "{name}.npz"\nT_base_sensor = {BASE.tolist()}\n' for name in "ab"]
     (folder / "touches.toml").write_text("".join(rows))
     assert [len(example) for example in read_labelled_touches(folder)] == [2]
-
-
-def test_a_list_states_the_true_pose_of_a_touch(folder):
-    path = folder / "touches.toml"
-    path.write_text(f'[[touch]]\npath = "a.npz"\nT_sensor_object = {T.tolist()}\n')
-    ((one,),) = read_labelled_touches(path)
-    np.testing.assert_array_equal(one.T_sensor_object, T)
 
 
 @pytest.mark.parametrize(
@@ -116,25 +114,15 @@ def test_errors_name_the_table_and_the_row(folder, rows, words):
         read_labelled_touches(write(folder, *rows))
 
 
-def test_missing_files_and_other_kinds_of_files_are_refused(folder, tmp_path):
+def test_missing_files_other_kinds_of_files_and_damaged_poses_are_refused(folder):
     for path in (folder / "none.csv", folder / "a.npz", folder):
         with pytest.raises(TouchError, match=naming(path.name)):
             read_labelled_touches(path)
-
-
-def test_damaged_poses_are_refused(folder):
-    for text in ("{", "[]", "{}", json.dumps({"T_sensor_object": {"a": [[1]]}}),
-                 json.dumps({"T_sensor_object": {"gone": T.tolist()}})):  # fmt: skip
+    poses = [{"a": [[1]]}, {"gone": T.tolist()}]
+    for text in ("{", "[]", "{}", *(json.dumps({"T_sensor_object": one}) for one in poses)):
         (folder / "poses.json").write_text(text)
         with pytest.raises(TouchError, match=naming("poses.json")):
             read_labelled_touches(folder)
-
-
-def test_a_list_without_a_true_pose_is_refused(folder):
-    path = folder / "touches.toml"
-    path.write_text('[[touch]]\npath = "a.npz"\n')
-    with pytest.raises(TouchError, match=naming("touch 1", "T_sensor_object")):
-        read_labelled_touches(path)
 
 
 def test_a_list_whose_object_is_not_at_rest_is_refused(folder):

@@ -161,20 +161,27 @@ def safetensors() -> bytes:
 SIDE = int((HUGE / 4) ** 0.5)
 LONG_HEAD = b"\x93NUMPY\x02\x00" + struct.pack("<L", HUGE)
 FILES: dict[str, Callable[[], bytes]] = {
-    "map.npz": lambda: npz((SIDE, SIDE)), "mask.npz": lambda: npz((HUGE // 4, 1)),
+    "map.npz": lambda: npz((SIDE, SIDE)),
+    "mask.npz": lambda: npz((HUGE // 4, 1)),
     "list.npz": lambda: npz((HUGE // 4,)),
     "head.npz": lambda: zip_member("depth.npy", deflate(HUGE, -15, LONG_HEAD), len(LONG_HEAD) + HUGE),
     "map.npy": lambda: npy_head((SIDE, SIDE)),
-    "map.png": lambda: png(16, 0), "mask.png": lambda: png(8, 0), "photo.png": lambda: png(8, 2),
+    "map.png": lambda: png(16, 0),
+    "mask.png": lambda: png(8, 0),
+    "photo.png": lambda: png(8, 2),
     "photo.tif": lambda: picture("TIFF", struct.pack("<HHLL", 256, 4, 1, 77), struct.pack("<HHLL", 256, 4, 1, 10**6)),
     "photo.jpg": lambda: picture("JPEG", struct.pack(">BHH", 8, 77, 77), struct.pack(">BHH", 8, 16000, 16000)),
-    "stated.mcap": lambda: mcap(HUGE), "lying.mcap": lambda: mcap(100),
-    "lying.zip": lambda: zip_member("a", deflate(HUGE, -15), 10), "a.safetensors": safetensors,
-    "a.stl": lambda: bytes(80) + struct.pack("<L", 2**32 - 1) + bytes(500), "a.gltf": gltf,
-    "a.ply": lambda: ply("ascii"), "b.ply": lambda: ply("binary_little_endian"),
+    "stated.mcap": lambda: mcap(HUGE),
+    "lying.mcap": lambda: mcap(100),
+    "lying.zip": lambda: zip_member("a", deflate(HUGE, -15), 10),
+    "a.safetensors": safetensors,
+    "a.stl": lambda: bytes(80) + struct.pack("<L", 2**32 - 1) + bytes(500),
+    "a.gltf": gltf,
+    "a.ply": lambda: ply("ascii"),
+    "b.ply": lambda: ply("binary_little_endian"),
     "a.off": lambda: b"OFF\n2000000000 2000000000 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
     "a.obj": lambda: b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4000000000\n",
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,9 +22,14 @@ def test_a_written_mount_is_read_back(tmp_path):
         HandEyeTouchRecord(name="c"),
     ]
     record = HandEyeRecord(
-        T_flange_sensor=X.tolist(), covariance=COVARIANCE.tolist(), T_base_object=X.tolist(), object="pin",
-        sensor="digit", variance_factor=1.5, touch=touches,
-    )  # fmt: skip
+        T_flange_sensor=X.tolist(),
+        covariance=COVARIANCE.tolist(),
+        T_base_object=X.tolist(),
+        object="pin",
+        sensor="digit",
+        variance_factor=1.5,
+        touch=touches,
+    )
     path = write_mount(tmp_path / "mount.toml", record)
     found = read_mount(path)
     np.testing.assert_array_equal(found.T_flange_sensor, X)
@@ -61,7 +65,7 @@ def test_the_error_of_a_rotation_grows_with_the_distance():
         ),
     ],
 )
-def test_a_wrong_file_gives_a_one_sentence_error(tmp_path: Path, text, values):
+def test_a_wrong_file_gives_a_one_sentence_error(tmp_path, text, values):
     path = tmp_path / "mount.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=naming(*values)) as caught:

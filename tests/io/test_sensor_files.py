@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,7 +36,7 @@ def numbers(geometry: SensorGeometry) -> list[float]:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_a_sensor_is_read_back_from_its_file(tmp_path: Path, name: str) -> None:
+def test_a_sensor_is_read_back_from_its_file(tmp_path, name):
     geometry = GEOMETRIES[name]
     path = write_sensor_file(tmp_path / "sensor.toml", geometry)
     assert path == tmp_path / "sensor.toml"
@@ -51,7 +50,7 @@ def test_a_sensor_is_read_back_from_its_file(tmp_path: Path, name: str) -> None:
     assert found.is_same_sensor(geometry)
 
 
-def test_the_file_gives_lengths_in_mm(tmp_path: Path) -> None:
+def test_the_file_gives_lengths_in_mm(tmp_path):
     path = write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["both"])
     values = tomllib.loads(path.read_text())
     assert values["image_size_px"] == [64, 48]
@@ -62,12 +61,11 @@ def test_the_file_gives_lengths_in_mm(tmp_path: Path) -> None:
     assert not values.keys() & {"fx", "fy"}
 
 
-def test_a_sensor_without_a_mask_is_one_file(tmp_path: Path) -> None:
+def test_a_sensor_without_a_mask_is_one_file_and_a_missing_mask_is_named(tmp_path):
     write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["gelslim"])
     assert [path.name for path in tmp_path.iterdir()] == ["sensor.toml"]
-
-
-def test_a_missing_mask_is_named_with_its_sensor_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="none"):
+        write_sensor_file(tmp_path / "none" / "sensor.toml", GEOMETRIES["gelslim"])
     write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["mask"])
     tmp_path.joinpath("sensor_mask.png").unlink()
     with pytest.raises(SensorError, match=naming("sensor.toml", "sensor_mask.png")):
@@ -85,7 +83,7 @@ def test_a_missing_mask_is_named_with_its_sensor_file(tmp_path: Path) -> None:
         (np.full((48, 64), -1.0), "1e+03 mm"),
     ],
 )
-def test_an_invalid_gel_surface_is_refused_by_file(tmp_path: Path, surface: np.ndarray | None, value: str) -> None:
+def test_an_invalid_gel_surface_is_refused_by_file(tmp_path, surface, value):
     path = write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["both"])
     path.write_text(path.read_text() + 'surface = "gel.npy"\n')
     if surface is not None:
@@ -94,13 +92,8 @@ def test_an_invalid_gel_surface_is_refused_by_file(tmp_path: Path, surface: np.n
         read_sensor_file(path)
 
 
-def test_a_file_in_a_missing_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="none"):
-        write_sensor_file(tmp_path / "none" / "sensor.toml", GEOMETRIES["gelslim"])
-
-
 @pytest.mark.parametrize("mm_per_px", [63.4, 6.34e-4])
-def test_a_gel_of_impossible_size_is_refused(tmp_path: Path, mm_per_px: float) -> None:
+def test_a_gel_of_impossible_size_is_refused(tmp_path, mm_per_px):
     path = write_sensor_file(tmp_path / "s.toml", GEOMETRIES["both"])
     text = path.read_text().replace(f"{1 / 3}", str(mm_per_px))
     path.write_text("\n".join(line for line in text.splitlines() if "rectangle" not in line))

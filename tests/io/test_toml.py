@@ -26,7 +26,7 @@ def test_angles_rotate_about_fixed_axes_with_roll_first():
     np.testing.assert_allclose(quarter[:3, :3] @ [0, 1, 0], [0, 0, 1], atol=1e-12)  # y to z by the roll, z stays
 
 
-def test_three_notations_give_the_same_pose():
+def test_four_notations_give_the_same_pose():
     angles = read_pose(PoseKeys(xyz_mm=[1, 2, 3], rpy_deg=[10, -20, 70]), None, "T")
     w_last = Rotation.from_matrix(angles[:3, :3]).as_quat()
     rounded = [round(float(v), 4) for v in [w_last[3], *w_last[:3]]]
@@ -34,17 +34,13 @@ def test_three_notations_give_the_same_pose():
     np.testing.assert_allclose(quaternion, angles, atol=2e-4)
     assert np.linalg.det(quaternion[:3, :3]) == pytest.approx(1, abs=1e-12)
     np.testing.assert_array_equal(read_pose(PoseKeys(), angles.tolist(), "T"), angles)
-
-
-def test_a_pose_as_results_give_it_is_read_back():
-    T = read_pose(PoseKeys(xyz_mm=[400, -2.5, 30], rpy_deg=[10, -20, 70]), None, "T")
-    q = rotation_to_quaternion_xyzw(T[:3, :3]).tolist()
-    again = read_pose(PoseKeys(xyz_m=T[:3, 3].tolist(), quaternion_xyzw=q), None, "T")
-    np.testing.assert_allclose(again, T, atol=1e-12)
-
-
-def test_no_pose_keys_give_no_pose():
+    exact = PoseKeys(xyz_m=[1e-3, 2e-3, 3e-3], quaternion_xyzw=rotation_to_quaternion_xyzw(angles[:3, :3]).tolist())
+    np.testing.assert_allclose(read_pose(exact, None, "T"), angles, atol=1e-12)  # as results give it
     assert read_pose(PoseKeys(), None, "T") is None
+
+
+XYZ, RPY = {"xyz_mm": [0, 0, 0]}, {"rpy_deg": [0, 0, 0]}
+XYZW, WXYZ = {"quaternion_xyzw": [0, 0, 0, 1]}, {"quaternion_wxyz": [1, 0, 0, 0]}
 
 
 @pytest.mark.parametrize(
@@ -52,21 +48,9 @@ def test_no_pose_keys_give_no_pose():
     [
         ({"xyz_mm": [0, 0, 0]}, None, ("T", "no rotation", "rpy_deg", "quaternion_wxyz")),
         ({"rpy_deg": [0, 0, 0]}, None, ("T", "xyz_mm", "rpy_deg", "no position")),
-        (
-            {"xyz_mm": [0, 0, 0], "rpy_deg": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0]},
-            None,
-            ("more than one rotation", "rpy_deg", "quaternion_wxyz"),
-        ),
-        (
-            {"xyz_mm": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1], "quaternion_wxyz": [1, 0, 0, 0]},
-            None,
-            ("more than one rotation", "quaternion_xyzw", "quaternion_wxyz"),
-        ),
-        (
-            {"xyz_mm": [0, 0, 0], "xyz_m": [0, 0, 0], "rpy_deg": [0, 0, 0]},
-            None,
-            ("more than one position", "xyz_mm", "xyz_m"),
-        ),
+        (XYZ | RPY | WXYZ, None, ("more than one rotation", "rpy_deg", "quaternion_wxyz")),
+        (XYZ | XYZW | WXYZ, None, ("more than one rotation", "quaternion_xyzw", "quaternion_wxyz")),
+        (XYZ | {"xyz_m": [0, 0, 0]} | RPY, None, ("more than one position", "xyz_mm", "xyz_m")),
         ({"quaternion_xyzw": [0, 0, 0, 1]}, None, ("T", "xyz_m", "quaternion_xyzw", "no position")),
         ({"xyz_mm": [0, 0, 0], "quaternion_wxyz": [1, 1, 0, 0]}, None, ("quaternion_wxyz", "1.414")),
         ({"xyz_m": [0, 0, 0], "quaternion_xyzw": [1, 1, 0, 0]}, None, ("quaternion_xyzw", "1.414")),
@@ -103,9 +87,8 @@ def test_a_written_configuration_is_read_back_unchanged():
     ],
 )
 def test_values_are_written_as_toml(value, text):
-    assert format_toml({"key": value} if not isinstance(value, dict) else {"s": {"key": value}}).endswith(
-        f"key = {text}\n"
-    )
+    table = {"s": {"key": value}} if isinstance(value, dict) else {"key": value}
+    assert format_toml(table).endswith(f"key = {text}\n")
 
 
 def test_values_that_are_not_set_are_omitted():

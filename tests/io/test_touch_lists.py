@@ -39,20 +39,13 @@ def written(folder: Path, *tables: str) -> Path:
 
 def test_every_key_of_a_list_is_read(folder):
     (folder / "gel.toml").touch()
-    rows = f"T_base_sensor = {T.tolist()}\n"
-    first, second = read_touch_list(
-        written(
-            folder,
-            'path = "a.npz"\nsensor = "gel.toml"\nunit = "mm"\nkind = "height"\npress_depth_mm = 1.5\n' + POSE,
-            'path = "c.png"\nsensor = "digit"\n' + rows,
-        )
-    )
-    assert (first.path, second.path) == (folder / "a.npz", folder / "c.png")
-    assert (first.sensor, second.sensor) == (str(folder / "gel.toml"), "digit")
-    assert (first.unit, second.unit) == ("mm", None)
-    assert (first.kind, second.kind) == ("height", None)
-    assert first.press_depth_m == pytest.approx(0.0015)
-    assert second.press_depth_m is None
+    every = 'path = "a.npz"\nsensor = "gel.toml"\nunit = "mm"\nkind = "height"\npress_depth_mm = 1.5\n' + POSE
+    few = f'path = "c.png"\nsensor = "digit"\nT_base_sensor = {T.tolist()}\n'
+    first, second = read_touch_list(written(folder, every, few))
+    assert (first.path, first.sensor) == (folder / "a.npz", str(folder / "gel.toml"))
+    assert (first.unit, first.kind) == ("mm", "height")
+    assert (second.path, second.sensor, second.unit, second.kind) == (folder / "c.png", "digit", None, None)
+    assert (first.press_depth_m, second.press_depth_m) == (pytest.approx(0.0015), None)
     np.testing.assert_allclose([first.T_base_sensor, second.T_base_sensor], [T, T], atol=1e-15)
 
 
@@ -61,6 +54,8 @@ def test_a_touch_takes_metres_and_a_quaternion_as_results_give_them(folder):
     pose = f"xyz_m = [0.1, -0.02, 0.3]\nquaternion_xyzw = [0, 0, {half}, {half}]\n"
     (touch,) = read_touch_list(written(folder, 'path = "a.npz"\n' + pose))
     np.testing.assert_allclose(touch.T_base_sensor, T, atol=1e-12)
+    (single,) = read_touch_list(written(folder, 'path = "a.npz"\n'))
+    assert single.T_base_sensor is None
 
 
 @pytest.mark.parametrize("pose", [POSE, POSE.replace("xyz_mm", "xyz_m"), f"T_base_sensor = {T.tolist()}\n"])
@@ -69,11 +64,6 @@ def test_a_touch_with_a_mount_takes_no_second_pose(folder, pose):
     table = f'path = "a.npz"\nmount = "mount.toml"\nT_base_flange = {T.tolist()}\n'
     with pytest.raises(TouchError, match=naming("touch 1", "given twice", "T_base_flange")):
         read_touch_list(written(folder, table + pose))
-
-
-def test_a_single_touch_needs_no_pose(folder):
-    (touch,) = read_touch_list(written(folder, 'path = "a.npz"\n'))
-    assert touch.T_base_sensor is None
 
 
 def test_a_pose_in_the_list_overrides_the_pose_in_the_touch_file(folder):
@@ -114,6 +104,7 @@ def test_a_folder_of_touches_may_have_the_name_of_its_sensor(folder):
     [
         (['path = "a.npz"\n' + POSE, 'path = "a.npz"\n'], ("touch 2", "T_base_sensor", "xyz_mm")),
         (['path = "z.npz"\n'], ("touch 1", "z.npz")),
+        (['path = "b.npz"\n', 'path = "bad.npz"\n'], ("touch 2", "bad.npz")),
         (["unit = 'mm'\n"], ("touch 1", "path")),
         (['path = "a.npz"\nunits = "mm"\n'], ("touch 1", "'units'", "'unit'")),
         (['path = "a.npz"\nkind = "depth"\n'], ("kind", "'depth'", "'distance'", "'indentation'", "'height'")),
@@ -131,17 +122,12 @@ def test_a_folder_of_touches_may_have_the_name_of_its_sensor(folder):
     ],
 )
 def test_a_wrong_table_is_refused_with_its_list_and_number(folder, tables, values):
+    (folder / "bad.npz").write_bytes(b"PK\x03\x04 nonsense")
     path = written(folder, *tables)
     with pytest.raises(TouchError, match=naming(*values)) as caught:
         read_touch_list(path)
     assert str(caught.value).startswith(f"{path}, touch ")
     assert "\n" not in str(caught.value)
-
-
-def test_a_damaged_touch_is_refused_with_its_number(folder):
-    (folder / "bad.npz").write_bytes(b"PK\x03\x04 nonsense")
-    with pytest.raises(TouchError, match=naming("touch 2", "bad.npz")):
-        read_touch_list(written(folder, 'path = "b.npz"\n', 'path = "bad.npz"\n'))
 
 
 @pytest.mark.parametrize(

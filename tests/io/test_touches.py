@@ -22,6 +22,7 @@ MAX_DEPTH_M = 2 * MM
 PRESS_DEPTH_M = 1.5 * MM
 T_SENSOR_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.001, -0.002, 0.03])
 T_BASE_SENSOR = make_transform(rotation_about([0, 1, 0], 2.0), [0.4, 0.1, 0.2])
+NOT_RIGID = [np.eye(3), 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan)]
 
 
 class Sensor(SensorModel):
@@ -74,7 +75,7 @@ def save_npz(path: Path, **arrays: Any) -> Path:
     return path
 
 
-def test_a_written_touch_is_read_back_bit_for_bit(tmp_path: Path, touch: Touch) -> None:
+def test_a_written_touch_is_read_back_bit_for_bit(tmp_path, touch):
     back = read_touch(write_touch(tmp_path / "a.npz", touch), SENSOR)
     np.testing.assert_array_equal(back.contact_shape.depth_m, touch.contact_shape.depth_m)
     np.testing.assert_array_equal(back.contact_shape.contact, touch.contact_shape.contact)
@@ -82,13 +83,13 @@ def test_a_written_touch_is_read_back_bit_for_bit(tmp_path: Path, touch: Touch) 
     np.testing.assert_array_equal(back.T_sensor_object, T_SENSOR_OBJECT)
     np.testing.assert_array_equal(back.T_base_sensor, T_BASE_SENSOR)
     assert back.name == "a.npz"
+    bare = read_touch(write_touch(tmp_path / "bare.npz", Touch(touch.contact_shape, touch.geometry)), SENSOR)
+    assert bare.T_sensor_object is bare.T_base_sensor is None
 
 
 @pytest.mark.parametrize("read_with", [RIGID, Gel(4 * MM)], ids=["rigid", "layer"])
 @pytest.mark.parametrize("taken_with", [RIGID, Gel(4 * MM), Gel(2 * MM)], ids=["rigid", "layer", "thin layer"])
-def test_another_kind_of_gel_is_reported(
-    tmp_path: Path, touch: Touch, taken_with: Gel, read_with: Gel, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_another_kind_of_gel_is_reported(tmp_path, touch, taken_with, read_with, caplog):
     taken = Touch(touch.contact_shape, Sensor(gel=taken_with).geometry)
     read_touch(write_touch(tmp_path / "a.npz", taken), Sensor(gel=read_with))
     said = [record.getMessage() for record in caplog.records]
@@ -96,15 +97,10 @@ def test_another_kind_of_gel_is_reported(
     assert all(taken_with.kind in message and "a.npz" in message for message in said)
 
 
-def test_a_file_without_a_gel_is_read_with_any_gel(
-    tmp_path: Path, depth_m: NDArray[np.float64], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_file_without_a_gel_is_read_with_any_gel_and_an_unknown_gel_is_refused(tmp_path, depth_m, caplog):
     for gel in (RIGID, Gel(4 * MM)):
         read_touch(save_npz(tmp_path / "a.npz", depth=depth_m, unit="m"), Sensor(gel=gel))
     assert not caplog.records
-
-
-def test_an_unknown_gel_is_refused(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
     with pytest.raises(TouchError, match=naming("a.npz", "jelly", "rigid", "layer")):
         read_touch(save_npz(tmp_path / "a.npz", depth=depth_m, unit="m", gel="jelly"), SENSOR)
 
@@ -112,9 +108,7 @@ def test_an_unknown_gel_is_refused(tmp_path: Path, depth_m: NDArray[np.float64])
 @pytest.mark.parametrize(
     "store", [np.str_, np.bytes_, lambda one: [one], lambda one: [[one]], lambda one: [one.encode()]]
 )
-def test_texts_and_numbers_may_be_bytes_or_arrays_of_one_element(
-    tmp_path: Path, depth_m: NDArray[np.float64], store: Any
-) -> None:
+def test_texts_and_numbers_may_be_bytes_or_arrays_of_one_element(tmp_path, depth_m, store):
     texts = {"unit": store("mm"), "kind": store("distance"), "gel": store("rigid")}
     press = np.reshape(1e3 * PRESS_DEPTH_M, np.shape(texts["unit"]))
     path = save_npz(tmp_path / "a.npz", touched=1e3 * depth_m, press_depth=press, **texts)
@@ -123,27 +117,29 @@ def test_texts_and_numbers_may_be_bytes_or_arrays_of_one_element(
     np.testing.assert_allclose(found.contact_shape.depth_m, depth_m, atol=1e-9)
 
 
-@pytest.mark.parametrize("unit", [["m", "mm"], 3.0, np.bytes_(b"\xb5m")])
-def test_a_text_that_is_none_is_refused(tmp_path: Path, depth_m: NDArray[np.float64], unit: Any) -> None:
-    with pytest.raises(TouchError, match=naming("unit", "a.npz")):
-        read_touch(save_npz(tmp_path / "a.npz", depth=depth_m, unit=unit), SENSOR)
+@pytest.mark.parametrize(
+    ("stated", "words"),
+    [
+        ({"unit": ["m", "mm"]}, ["unit"]),
+        ({"unit": 3.0}, ["unit"]),
+        ({"unit": np.bytes_(b"\xb5m")}, ["unit"]),
+        ({"unit": "furlong"}, ["furlong"]),
+        ({"kind": "depth"}, ["'depth'", "indentation"]),
+        *(({name: T}, [name]) for name in ("T_sensor_object", "T_base_sensor") for T in NOT_RIGID),
+    ],
+)
+def test_an_unknown_text_and_a_pose_that_is_not_rigid_are_refused(tmp_path, depth_m, stated, words):
+    refused(save_npz(tmp_path / "a.npz", **{"depth": depth_m, "unit": "m", **stated}), *words, unit=None)
 
 
-def test_unknown_poses_are_absent_from_the_file(tmp_path: Path, touch: Touch) -> None:
-    bare = Touch(touch.contact_shape, touch.geometry)
-    back = read_touch(write_touch(tmp_path / "a.npz", bare), SENSOR)
-    assert back.T_sensor_object is None
-    assert back.T_base_sensor is None
-
-
-def test_writing_the_same_touch_gives_the_same_bytes_in_one_file(tmp_path: Path, touch: Touch) -> None:
+def test_writing_the_same_touch_gives_the_same_bytes_in_one_file(tmp_path, touch):
     one, other = (write_touch(tmp_path / name, touch) for name in ("a.npz", "b.npz"))
     write_touch(one, touch)
     assert one.read_bytes() == other.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "b.npz"]
 
 
-def test_a_failed_write_keeps_the_old_touch(tmp_path: Path, touch: Touch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_keeps_the_old_touch(tmp_path, touch, monkeypatch):
     path = write_touch(tmp_path / "a.npz", touch)
     before = path.read_bytes()
 
@@ -159,7 +155,7 @@ def test_a_failed_write_keeps_the_old_touch(tmp_path: Path, touch: Touch, monkey
 
 
 @pytest.mark.parametrize("name", ["missing/a.npz", "a.txt", "file/a.npz", "folder.npz"])
-def test_unwritable_paths_are_refused(tmp_path: Path, touch: Touch, name: str) -> None:
+def test_unwritable_paths_are_refused(tmp_path, touch, name):
     (tmp_path / "file").touch()
     (tmp_path / "folder.npz").mkdir()
     with pytest.raises(OutputError, match=Path(name).name):
@@ -168,9 +164,7 @@ def test_unwritable_paths_are_refused(tmp_path: Path, touch: Touch, name: str) -
 
 @pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1e3), ("um", 1e6)])
 @pytest.mark.parametrize("kind", ["npy", "npz", "npz stating its unit"])
-def test_every_unit_gives_the_same_shape(
-    tmp_path: Path, depth_m: NDArray[np.float64], kind: str, unit: str, scale: float
-) -> None:
+def test_every_unit_gives_the_same_shape(tmp_path, depth_m, kind, unit, scale):
     values = depth_m * scale
     if kind == "npy":
         shape = read_contact_shape(save_npy(tmp_path / "a.npy", values), MAX_DEPTH_M, unit)
@@ -185,7 +179,7 @@ def test_every_unit_gives_the_same_shape(
 
 
 @pytest.mark.parametrize(("unit", "unit_m"), [("um", 1e-6), ("mm", 1e-3)])
-def test_a_png_keeps_depths_to_half_a_unit(tmp_path: Path, unit: str, unit_m: float) -> None:
+def test_a_png_keeps_depths_to_half_a_unit(tmp_path, unit, unit_m):
     true_m = np.random.default_rng(0).uniform(0, 40 * unit_m, (9, 12))
     values = np.round(true_m / unit_m).astype(np.uint16)
     values[0] = 65535
@@ -195,20 +189,17 @@ def test_a_png_keeps_depths_to_half_a_unit(tmp_path: Path, unit: str, unit_m: fl
     assert shape.contact[1:].all()
 
 
-def test_a_png_without_press_depth_takes_its_deepest_step(tmp_path: Path) -> None:
+def test_the_largest_16_bit_number_is_no_contact_in_any_byte_order(tmp_path):
     values = np.array([[0, 700], [1300, 65535]], np.uint16)
     shape = read_contact_shape(save_png(tmp_path / "a.png", values), MAX_DEPTH_M, "um")
-    assert shape.press_depth_m == pytest.approx(1.3 * MM, rel=1e-3)
+    assert shape.press_depth_m == pytest.approx(1.3 * MM, rel=1e-3)  # the deepest step
     np.testing.assert_array_equal(shape.contact, [[True, True], [True, False]])
-
-
-def test_the_largest_16_bit_number_is_no_contact_in_any_byte_order(tmp_path: Path) -> None:
     values = np.array([[0, 150, 65535]], ">u2")
     shape = read_contact_shape(save_npy(tmp_path / "a.npy", values), MAX_DEPTH_M, "mm", press_depth_m=1 * MM)
     np.testing.assert_array_equal(shape.contact, [[True, False, False]])
 
 
-def test_a_touch_can_be_read_at_a_lighter_press(tmp_path: Path, touch: Touch) -> None:
+def test_a_touch_can_be_read_at_a_lighter_press(tmp_path, touch):
     path = write_touch(tmp_path / "a.npz", touch)
     light = read_touch(path, SENSOR, press_depth_m=0.5 * MM)
     assert light.press_depth_m == 0.5 * MM
@@ -216,13 +207,13 @@ def test_a_touch_can_be_read_at_a_lighter_press(tmp_path: Path, touch: Touch) ->
 
 
 @pytest.mark.parametrize("press_depth_m", [1.6 * MM, 0.0, -1.0, float("nan")])
-def test_a_deeper_or_impossible_press_is_refused(tmp_path: Path, touch: Touch, press_depth_m: float) -> None:
+def test_a_deeper_or_impossible_press_is_refused(tmp_path, touch, press_depth_m):
     path = write_touch(tmp_path / "a.npz", touch)
     with pytest.raises(TouchError, match=naming("a.npz", "1.5 mm", f"{1e3 * press_depth_m:.3g} mm")):
         read_touch(path, SENSOR, press_depth_m=press_depth_m)
 
 
-def test_a_calibrated_sensor_reads_colour_images(tmp_path: Path) -> None:
+def test_a_calibrated_sensor_reads_colour_images(tmp_path):
     image = np.full((9, 12, 3), 255, np.uint8)
     image[2:5, 3:7] = 51
     np.save(tmp_path / "a.npy", image)
@@ -245,26 +236,28 @@ def refused(path: Path, *words: str, unit: str | None = "mm") -> None:
             assert word in message
 
 
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path):
     for name in ("a.npz", "a.npy", "a.png", "a.jpg", "x" * 300 + ".npz"):
         with pytest.raises(TouchError, match=name[:40]):
             read_touch(tmp_path / name, SENSOR, "mm")
 
 
-def test_a_folder_is_refused(tmp_path: Path) -> None:
+def test_folders_and_unknown_extensions_are_refused(tmp_path):
     (tmp_path / "a.npz").mkdir()
     refused(tmp_path / "a.npz", "folder")
+    (tmp_path / "a.csv").write_text("0,1")
+    refused(tmp_path / "a.csv", ".npz")
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".png"])
 @pytest.mark.parametrize("content", [b"", b"depth,depth\n1,2\n", b"PK\x03\x04 no zip", b"\x93NUMPY no array"])
-def test_files_of_another_kind_are_refused(tmp_path: Path, suffix: str, content: bytes) -> None:
+def test_files_of_another_kind_are_refused(tmp_path, suffix, content):
     path = tmp_path / f"a{suffix}"
     path.write_bytes(content)
     refused(path, suffix[1:])
 
 
-def test_truncated_files_are_refused(tmp_path: Path, depth_m: NDArray[np.float64], touch: Touch) -> None:
+def test_truncated_files_are_refused(tmp_path, depth_m, touch):
     noise = np.random.default_rng(0).integers(0, 65535, (9, 12)).astype(np.uint16)
     for path in (
         write_touch(tmp_path / "a.npz", touch),
@@ -277,7 +270,7 @@ def test_truncated_files_are_refused(tmp_path: Path, depth_m: NDArray[np.float64
             refused(path)
 
 
-def test_objects_are_never_unpickled(tmp_path: Path) -> None:
+def test_objects_are_never_unpickled(tmp_path):
     class Trap:
         def __reduce__(self) -> Any:
             return (Path.touch, (tmp_path / "unpickled",))
@@ -288,7 +281,7 @@ def test_objects_are_never_unpickled(tmp_path: Path) -> None:
     assert not (tmp_path / "unpickled").exists()
 
 
-def test_other_array_shapes_and_types_are_refused(tmp_path: Path) -> None:
+def test_other_array_shapes_and_types_are_refused(tmp_path):
     refused(save_npy(tmp_path / "a.npy", np.zeros((9, 12, 3))), "(9, 12, 3)")
     refused(save_npz(tmp_path / "b.npz", depth=np.zeros((9, 12, 3))), "(9, 12, 3)")
     refused(save_npy(tmp_path / "c.npy", np.zeros((9, 12), bool)), "bool")
@@ -300,7 +293,7 @@ def test_other_array_shapes_and_types_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.int32, np.float32])
-def test_a_unit_is_never_guessed(tmp_path: Path, dtype: Any) -> None:
+def test_a_unit_is_never_guessed(tmp_path, dtype):
     values = np.arange(108).reshape(9, 12).astype(dtype)
     refused(save_npy(tmp_path / "a.npy", values), "`touch_unit`", unit=None)
     refused(save_npz(tmp_path / "a.npz", depth=values), "`touch_unit`", unit=None)
@@ -308,15 +301,14 @@ def test_a_unit_is_never_guessed(tmp_path: Path, dtype: Any) -> None:
         refused(save_png(tmp_path / "a.png", values), "`touch_unit`", unit=None)
 
 
-def test_unknown_and_contradicting_units_are_refused(tmp_path: Path, touch: Touch) -> None:
+def test_contradicting_units_are_refused(tmp_path, touch):
     refused(write_touch(tmp_path / "a.npz", touch), " m", " mm")
     refused(save_npy(tmp_path / "a.npy", np.zeros((9, 12))), "inch", unit="inch")
-    refused(save_npz(tmp_path / "b.npz", depth=np.zeros((9, 12)), unit="furlong"), "furlong", unit=None)
     assert read_touch(tmp_path / "a.npz", SENSOR, "m").press_depth_m == PRESS_DEPTH_M
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.png", "grey.png"])
-def test_images_need_a_calibrated_sensor(tmp_path: Path, name: str) -> None:
+def test_images_need_a_calibrated_sensor(tmp_path, name):
     image = np.zeros((9, 12) if name == "grey.png" else (9, 12, 3), np.uint8)
     path = save_png(tmp_path / name, image)
     with pytest.raises(TouchError, match=naming(name, "calibrat")):
@@ -325,16 +317,14 @@ def test_images_need_a_calibrated_sensor(tmp_path: Path, name: str) -> None:
         read_contact_shape(path, MAX_DEPTH_M, "mm")
 
 
-def test_unknown_extensions_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    path.write_text("0,1")
-    refused(path, ".npz")
-
-
-def test_negative_depths_and_wrong_units_are_refused(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
+def test_negative_depths_wrong_units_and_inverted_files_are_refused_with_the_remedy(tmp_path, depth_m):
     refused(save_npy(tmp_path / "a.npy", depth_m * 1e3 - 0.5), "negative")
     refused(save_npy(tmp_path / "b.npy", depth_m * 1e3), "unit", unit="m")
     refused(save_npy(tmp_path / "c.npy", depth_m * 1e6), "unit", unit="mm")
+    v, u = np.mgrid[:9, :12]
+    inverted = np.maximum(1.5 - 0.2 * ((u - 5) ** 2 + (v - 4) ** 2), 0.0)
+    refused(save_npy(tmp_path / "d.npy", inverted), "indentations", "`touch_kind` indentation")
+    refused(save_npy(tmp_path / "e.npy", -inverted), "negative", "`touch_kind` height")
 
 
 @pytest.mark.parametrize(
@@ -347,18 +337,10 @@ def test_negative_depths_and_wrong_units_are_refused(tmp_path: Path, depth_m: ND
         (np.linspace(0, 1, 12 * 9).reshape(12, 9), TouchError, "12 x 9"),
     ],
 )
-def test_touches_without_contact_or_of_another_size_are_refused(
-    tmp_path: Path, values: NDArray[np.float64], error: type[TouchError], value: str
-) -> None:
+def test_touches_without_contact_or_of_another_size_are_refused(tmp_path, values, error, value):
     path = save_npy(tmp_path / "a.npy", values)
     with pytest.raises(error, match=naming("a.npy", value)):
         read_touch(path, SENSOR, "mm")
-
-
-@pytest.mark.parametrize("T", [np.eye(3), 2 * np.eye(4), np.diag([1.0, 1, -1, 1]), np.full((4, 4), np.nan)])
-@pytest.mark.parametrize("name", ["T_sensor_object", "T_base_sensor"])
-def test_poses_must_be_rigid(tmp_path: Path, depth_m: NDArray[np.float64], name: str, T: NDArray[np.float64]) -> None:
-    refused(save_npz(tmp_path / "a.npz", **{"depth": depth_m, "unit": "m", name: T}), name, unit=None)
 
 
 def make_maps(depth_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -368,9 +350,7 @@ def make_maps(depth_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
 
 @pytest.mark.parametrize("kind", ["distance", "indentation", "height"])
 @pytest.mark.parametrize("stated", [True, False])
-def test_files_of_every_kind_give_the_same_touch(
-    tmp_path: Path, depth_m: NDArray[np.float64], kind: str, stated: bool
-) -> None:
+def test_files_of_every_kind_give_the_same_touch(tmp_path, depth_m, kind, stated):
     values = make_maps(depth_m)[kind]
     path = save_npz(tmp_path / "a.npz", depth=values, unit="mm", **({"kind": kind} if stated else {}))
     touch = read_touch(path, SENSOR, kind=None if stated else kind)
@@ -380,7 +360,7 @@ def test_files_of_every_kind_give_the_same_touch(
     np.testing.assert_array_equal(shape.depth_m, touch.contact_shape.depth_m)
 
 
-def test_the_largest_16_bit_number_is_no_contact_in_indentations(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
+def test_the_largest_16_bit_number_is_no_contact_in_indentations(tmp_path, depth_m):
     values = np.round(1e3 * make_maps(depth_m)["indentation"]).astype(np.uint16)
     values[0, 0] = 65535
     touch = read_touch(save_png(tmp_path / "a.png", values), SENSOR, "um", kind="indentation")
@@ -388,28 +368,14 @@ def test_the_largest_16_bit_number_is_no_contact_in_indentations(tmp_path: Path,
     assert not touch.contact_shape.contact[0, 0]
 
 
-def test_an_inverted_file_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    v, u = np.mgrid[:9, :12]
-    values = np.maximum(1.5 - 0.2 * ((u - 5) ** 2 + (v - 4) ** 2), 0.0)
-    refused(save_npy(tmp_path / "a.npy", values), "indentations", "`touch_kind` indentation")
-    refused(save_npy(tmp_path / "b.npy", -values), "negative", "`touch_kind` height")
-
-
-def test_the_kind_that_a_file_states_is_believed(tmp_path: Path, touch: Touch) -> None:
+def test_the_kind_that_a_file_states_is_believed(tmp_path, touch):
     values = make_maps(touch.contact_shape.depth_m)["indentation"]
     path = save_npz(tmp_path / "a.npz", depth=values, unit="mm", kind="distance")
     assert read_touch(path, SENSOR).contact_shape.depth_m.min() == 0
     with np.load(write_touch(tmp_path / "b.npz", touch)) as written:
         assert str(written["kind"]) == "distance"
-
-
-def test_unknown_and_contradicting_kinds_are_refused(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
-    unknown = save_npz(tmp_path / "a.npz", depth=depth_m, unit="m", kind="depth")
-    with pytest.raises(TouchError, match=naming("'depth'", "a.npz", "indentation")):
-        read_touch(unknown, SENSOR)
-    stated = save_npz(tmp_path / "b.npz", depth=depth_m, unit="m", kind="distance")
     with pytest.raises(TouchError, match=naming("b.npz", "distance", "`touch_kind` is height")):
-        read_touch(stated, SENSOR, kind="height")
+        read_touch(tmp_path / "b.npz", SENSOR, kind="height")
 
 
 def make_mask() -> NDArray[np.bool_]:
@@ -417,9 +383,10 @@ def make_mask() -> NDArray[np.bool_]:
     return np.asarray((u - 5) ** 2 + (v - 4) ** 2 < 9)
 
 
-def test_a_written_mask_is_read_back(tmp_path: Path) -> None:
-    touch = Touch.from_mask(make_mask(), sensor=SENSOR, press_depth_m=1 * MM, press_std_m=0.2 * MM,
-                            T_base_sensor=T_BASE_SENSOR)  # fmt: skip
+def test_a_written_mask_is_read_back(tmp_path):
+    touch = Touch.from_mask(
+        make_mask(), sensor=SENSOR, press_depth_m=1 * MM, press_std_m=0.2 * MM, T_base_sensor=T_BASE_SENSOR
+    )
     read = read_touch(write_touch(tmp_path / "a.npz", touch), SENSOR)
     assert not read.has_depths
     np.testing.assert_array_equal(read.contact_shape.contact, make_mask())
@@ -428,7 +395,7 @@ def test_a_written_mask_is_read_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA"])
-def test_a_mask_is_read_from_a_picture(tmp_path: Path, mode: str) -> None:
+def test_a_mask_is_read_from_a_picture(tmp_path, mode):
     """The palette has white at the index 0, and black at 1."""
     path = tmp_path / "a.png"
     image = Image.fromarray(np.where(make_mask(), 255, 0).astype(np.uint8))
@@ -443,12 +410,12 @@ def test_a_mask_is_read_from_a_picture(tmp_path: Path, mode: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["mask", "depth", "mine"])
-def test_a_mask_is_read_from_arrays_of_any_name(tmp_path: Path, name: str) -> None:
+def test_a_mask_is_read_from_arrays_of_any_name(tmp_path, name):
     touch = read_touch(save_npz(tmp_path / "a.npz", **{name: make_mask()}), SENSOR, kind="mask")
     np.testing.assert_array_equal(touch.contact_shape.contact, make_mask())
 
 
-def test_grey_pictures_photos_and_depths_are_no_masks(tmp_path: Path, depth_m: NDArray[np.float64]) -> None:
+def test_grey_pictures_photos_and_depths_are_no_masks(tmp_path, depth_m):
     grey = save_png(tmp_path / "grey.png", np.arange(108, dtype=np.uint8).reshape(9, 12))
     photo = save_png(tmp_path / "photo.png", np.zeros((9, 12, 3), np.uint8))
     depths = save_npz(tmp_path / "depths.npz", depth=depth_m, unit="m", kind="distance")
@@ -456,7 +423,6 @@ def test_grey_pictures_photos_and_depths_are_no_masks(tmp_path: Path, depth_m: N
         with pytest.raises(TouchError, match=naming(path.name)):
             read_touch(path, SENSOR, kind="mask")
     mask = save_npz(tmp_path / "mask.npz", mask=make_mask(), kind="mask")
-    with pytest.raises(TouchError, match=naming("mask.npz")):
-        read_touch(mask, SENSOR, kind="height")
-    with pytest.raises(TouchError, match=naming("mask.npz")):
-        read_contact_shape(mask, MAX_DEPTH_M)
+    for read in (lambda: read_touch(mask, SENSOR, kind="height"), lambda: read_contact_shape(mask, MAX_DEPTH_M)):
+        with pytest.raises(TouchError, match=naming("mask.npz")):
+            read()

@@ -73,5 +73,4 @@ def flip(name: str, position: int) -> Callable[[Path], None]:
         content[position] ^= 1
         path.write_bytes(content)
 
-    damage.__name__ = f"flip_{name}_{position}"
     return damage

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,34 +17,9 @@ from tactile_loc.store.keys import StageKey, hash_json
 from tactile_loc.store.store import StageStore
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> StageStore:
-    return StageStore(tmp_path / "store")
-
-
-def truncate(folder: Path) -> None:
-    os.truncate(folder / "sum.npy", 200)
-
-
-def truncate_to_nothing(folder: Path) -> None:
-    (folder / "meta.json").write_bytes(b"")
-
-
-def drop_manifest(folder: Path) -> None:
-    (folder / "manifest.json").unlink()
-
-
-def truncate_manifest(folder: Path) -> None:
-    os.truncate(folder / "manifest.json", 50)
-
-
 def edit_manifest(folder: Path) -> None:
     manifest = json.loads((folder / "manifest.json").read_text())
     (folder / "manifest.json").write_text(json.dumps({**manifest, "created": "2001-01-01T00:00:00+00:00"}))
-
-
-def drop_file(folder: Path) -> None:
-    (folder / "sum.npy").unlink()
 
 
 def replace_by_file(folder: Path) -> None:
@@ -53,25 +27,23 @@ def replace_by_file(folder: Path) -> None:
     folder.write_text("in the way")
 
 
-DAMAGES = [
-    truncate,
-    truncate_to_nothing,
-    flip("sum.npy", -1),
-    flip("piece0.npy", 3),
-    flip("manifest.json", 100),
-    drop_manifest,
-    truncate_manifest,
-    edit_manifest,
-    drop_file,
-    replace_by_file,
-]
+DAMAGES = {
+    "truncated file": lambda folder: os.truncate(folder / "sum.npy", 200),
+    "empty file": lambda folder: os.truncate(folder / "meta.json", 0),
+    "missing file": lambda folder: (folder / "sum.npy").unlink(),
+    "changed end": flip("sum.npy", -1),
+    "changed head": flip("piece0.npy", 3),
+    "changed manifest": flip("manifest.json", 100),
+    "missing manifest": lambda folder: (folder / "manifest.json").unlink(),
+    "truncated manifest": lambda folder: os.truncate(folder / "manifest.json", 50),
+    "edited manifest": edit_manifest,
+    "file for a folder": replace_by_file,
+}
 
 
-@pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 @pytest.mark.parametrize("same_instance", [True, False])
-def test_a_damaged_artifact_is_removed_and_built_again(
-    store: StageStore, damage: Callable[[Path], None], same_instance: bool, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_damaged_artifact_is_removed_and_built_again(store, damage, same_instance, caplog):
     truth = contents(store.build(KEY, Five()).path)
     damage(folder_of(store))
     reader = store if same_instance else StageStore(store.root)
@@ -85,7 +57,7 @@ def test_a_damaged_artifact_is_removed_and_built_again(
     assert five.computed == [0, 1, 2, 3, 4]
 
 
-def test_an_unreadable_file_counts_as_damaged(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_file_counts_as_damaged(store, monkeypatch):
     artifact = store.build(KEY, Five())
 
     def refuse(path: Path) -> str:
@@ -96,14 +68,14 @@ def test_an_unreadable_file_counts_as_damaged(store: StageStore, monkeypatch: py
         artifact.verify()
 
 
-def test_a_build_replaces_a_damaged_artifact(store: StageStore) -> None:
+def test_a_build_replaces_a_damaged_artifact(store):
     truth = contents(store.build(KEY, Five()).path)
-    truncate(folder_of(store))
+    DAMAGES["truncated file"](folder_of(store))
     assert contents(store.build(KEY, Five()).path) == truth
     assert store.built == [KEY, KEY]
 
 
-def test_an_artifact_moved_to_another_key_is_not_read(store: StageStore) -> None:
+def test_an_artifact_moved_to_another_key_is_not_read(store):
     other = StageKey("bank", 2, {})
     store.build(KEY, Five()).path.rename(folder_of(store, other))
     assert store.get(other) is None
@@ -121,9 +93,7 @@ def build_old(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> tuple[Artif
     return built, hashed
 
 
-def test_checksums_are_read_once_while_the_files_are_unchanged(
-    store: StageStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_checksums_are_read_once_while_the_files_are_unchanged(store, monkeypatch):
     built, hashed = build_old(store, monkeypatch)
     for _ in range(3):
         assert store.get(KEY) == built
@@ -133,7 +103,7 @@ def test_checksums_are_read_once_while_the_files_are_unchanged(
     assert len(hashed) == 2 * len(built.names)
 
 
-def test_only_the_files_that_are_read_are_verified(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_files_that_are_read_are_verified(store, monkeypatch):
     built, hashed = build_old(store, monkeypatch)
     for files in (["sum.npy"], ["sum.npy"], ["piece0.npy", "sum.npy"]):
         assert store.get(KEY, files) == built
@@ -142,7 +112,7 @@ def test_only_the_files_that_are_read_are_verified(store: StageStore, monkeypatc
     assert sorted(hashed) == list(built.names)
 
 
-def test_damage_is_found_when_the_file_is_needed(store: StageStore) -> None:
+def test_damage_is_found_when_the_file_is_needed(store):
     truth = contents(store.build(KEY, Five()).path)
     flip("sum.npy", -1)(folder_of(store))
     assert store.get(KEY, ["piece0.npy"]) is not None
@@ -151,7 +121,7 @@ def test_damage_is_found_when_the_file_is_needed(store: StageStore) -> None:
     assert five.computed == [0, 1, 2, 3, 4]
 
 
-def test_pickled_arrays_are_refused(store: StageStore) -> None:
+def test_pickled_arrays_are_refused(store):
     objects = np.array([{"a": 1}], dtype=object)
     with pytest.raises(StoreError, match=naming("'x'", "bank", "objects")):
         store.build(KEY, lambda workspace: workspace.save_array("x", objects))
@@ -163,7 +133,7 @@ def test_pickled_arrays_are_refused(store: StageStore) -> None:
             artifact.load_array("x", mmap=mmap)
 
 
-def test_a_change_within_one_tick_of_the_clock_is_seen(store: StageStore) -> None:
+def test_a_change_within_one_tick_of_the_clock_is_seen(store):
     path = store.build(KEY, Five()).find_file("sum.npy")
     assert store.get(KEY) is not None
     stat = path.stat()
@@ -180,7 +150,7 @@ def test_an_invalid_manifest_is_refused(tmp_path, text):
 
 
 @pytest.mark.parametrize("format", [0, 2])
-def test_a_manifest_of_another_format_is_not_read(store: StageStore, format: int) -> None:
+def test_a_manifest_of_another_format_is_not_read(store, format):
     path = store.build(KEY, Five()).path
     manifest = {**json.loads((path / MANIFEST).read_text()), "format": format}
     del manifest["sha256"]

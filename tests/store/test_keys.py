@@ -21,20 +21,14 @@ from tactile_loc.store.keys import (
 )
 
 
-def test_the_digest_is_that_of_the_canonical_json() -> None:
+def test_the_digest_is_that_of_the_canonical_json():
     text = '{"inputs":{"a":[1,0.1,null,true],"b":{"x":"\\u00e9"}},"stage":"grid","version":3}'
     key = StageKey("grid", 3, {"b": {"x": "é"}, "a": (1, 0.1, None, True)})
     assert key.digest == hashlib.sha256(text.encode()).hexdigest()
     assert key.short == key.digest[:16]
     values = {"stage": "grid", "version": 3, "inputs": key.inputs}
     assert (hash_json(values), hash_shortly(values)) == (key.digest, key.short)
-
-
-def test_the_order_of_inputs_does_not_matter() -> None:
-    one = StageKey("grid", 1, {"a": 1, "b": {"c": 2.5, "d": [1, 2]}})
-    other = StageKey("grid", 1, {"b": {"d": [1, 2], "c": 2.5}, "a": 1})
-    assert one == other
-    assert hash(one) == hash(other)
+    assert write_canonical_json({"a": np.float64(0.1)}) == write_canonical_json({"a": 0.1}) == '{"a":0.1}'
 
 
 @pytest.mark.parametrize(
@@ -50,11 +44,15 @@ def test_the_order_of_inputs_does_not_matter() -> None:
         StageKey("grid", 1, {"a": 1, "b": [0.1, 2], "c": None}),
     ],
 )
-def test_any_change_changes_the_digest(other: StageKey) -> None:
+def test_any_change_changes_the_digest(other):
     assert StageKey("grid", 1, {"a": 1, "b": [0.1, 2]}) != other
 
 
-def test_a_later_change_of_the_inputs_does_not_change_the_key() -> None:
+def test_neither_the_order_nor_a_later_change_of_the_inputs_changes_the_key():
+    one = StageKey("grid", 1, {"a": 1, "b": {"c": 2.5, "d": [1, 2]}})
+    other = StageKey("grid", 1, {"b": {"d": [1, 2], "c": 2.5}, "a": 1})
+    assert one == other
+    assert hash(one) == hash(other)
     options = {"steps": [1, 2]}
     key = StageKey("grid", 1, options)
     options["steps"].append(3)
@@ -74,22 +72,18 @@ def test_a_later_change_of_the_inputs_does_not_change_the_key() -> None:
         ({1: 2}, "strings"),
     ],
 )
-def test_inputs_without_a_canonical_form_are_refused(value: object, says: str) -> None:
+def test_inputs_without_a_canonical_form_are_refused(value, says):
     with pytest.raises(StoreError, match=naming("'grid'", "['pose'][1]", says)):
         StageKey("grid", 1, {"pose": [0, value]})  # type: ignore[list-item]
 
 
 @pytest.mark.parametrize("name", ["", "..", "a/b", "/etc", "grid\n"])
-def test_stage_names_that_leave_the_store_are_refused(name: str) -> None:
+def test_stage_names_that_leave_the_store_are_refused(name):
     with pytest.raises(StoreError, match=naming(repr(name))):
         StageKey(name, 1, {})
 
 
-def test_a_numpy_float_counts_as_a_float() -> None:
-    assert write_canonical_json({"a": np.float64(0.1)}) == write_canonical_json({"a": 0.1}) == '{"a":0.1}'
-
-
-def test_hash_arrays_sees_values_dtype_shape_and_name() -> None:
+def test_hash_arrays_sees_values_dtype_shape_and_name():
     a = np.arange(6, dtype=np.float32).reshape(2, 3)
     reference = hash_arrays(a=a)
     changed = a.copy()
@@ -100,35 +94,28 @@ def test_hash_arrays_sees_values_dtype_shape_and_name() -> None:
     assert len({reference, hash_arrays(b=a), *(hash_arrays(a=other) for other in others)}) == 2 + len(others)
 
 
-def test_hash_arrays_ignores_memory_layout_and_order_of_names() -> None:
+def test_hash_arrays_ignores_memory_layout_and_order_of_names():
     a, b = np.arange(12.0).reshape(3, 4), np.arange(3)
     assert hash_arrays(a=a, b=b) == hash_arrays(b=b, a=np.asfortranarray(a))
     assert hash_arrays(a=a[:, ::2]) == hash_arrays(a=a[:, ::2].copy())
     assert hash_arrays(a=a, b=b) != hash_arrays(a=b, b=a)
 
 
-def test_hash_arrays_distinguishes_unusual_arrays() -> None:
-    kinds = [
-        np.zeros((0, 3)),
-        np.zeros((3, 0)),
-        np.array(1.0),
-        np.array([1.0]),
-        np.array(["1970"], "M8[s]"),
-        np.array(["a"]),
-    ]
+def test_hash_arrays_distinguishes_unusual_arrays():
+    kinds = [np.zeros((0, 3)), np.zeros((3, 0)), np.array(1.0), np.array([1.0]), np.array(["a"])]
+    kinds.append(np.array(["1970"], "M8[s]"))
     assert len({hash_arrays(a=kind) for kind in kinds}) == len(kinds)
     with pytest.raises(StoreError, match=naming("'a'", "objects")):
         hash_arrays(a=np.array([{}]))
 
 
-def test_hash_file_gives_the_digest_of_the_content(tmp_path: Path) -> None:
+def test_hash_file_gives_the_digest_of_the_content(tmp_path):
     content = bytes(range(256)) * 5000
     (tmp_path / "mesh.stl").write_bytes(content)
     assert hash_file(tmp_path / "mesh.stl") == hashlib.sha256(content).hexdigest()
-    with pytest.raises(StoreError, match=r"none\.stl"):
-        hash_file(tmp_path / "none.stl")
-    with pytest.raises(StoreError):
-        hash_file(Path("zero\0byte.stl"))
+    for path, word in ((tmp_path / "none.stl", "none.stl"), (Path("zero\0byte.stl"), "byte.stl")):
+        with pytest.raises(StoreError, match=naming(word)):
+            hash_file(path)
 
 
 def test_a_key_explains_its_stage():
@@ -153,7 +140,7 @@ def hash_anew(name: str) -> str:
     return hash_code(name)
 
 
-def test_any_change_of_a_package_s_code_changes_its_hash(package: Path) -> None:
+def test_any_change_of_a_package_s_code_changes_its_hash(package):
     seen = [hash_anew("keyed_package")]
     (package / "inner" / "deep.py").write_text("A = 2\n")
     seen.append(hash_anew("keyed_package"))
@@ -168,7 +155,7 @@ def test_any_change_of_a_package_s_code_changes_its_hash(package: Path) -> None:
     assert hash_anew("keyed_package") == seen[-1]
 
 
-def test_a_module_outside_of_packages_is_hashed_alone(package: Path) -> None:
+def test_a_module_outside_of_packages_is_hashed_alone(package):
     alone = package.parent / "keyed_module.py"
     alone.write_text("A = 1\n")
     before = hash_anew("keyed_module")
@@ -180,6 +167,6 @@ def test_a_module_outside_of_packages_is_hashed_alone(package: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["no_such_module_anywhere", "sys"])
-def test_code_that_is_not_in_files_is_refused(name: str) -> None:
+def test_code_that_is_not_in_files_is_refused(name):
     with pytest.raises(StoreError, match=naming(name)):
         hash_anew(name)

@@ -16,12 +16,7 @@ from tactile_loc.store.store import StageStore, find_root
 from tactile_loc.store.workspace import Workspace
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> StageStore:
-    return StageStore(tmp_path / "store")
-
-
-def test_a_stage_is_built_once_and_then_read(store: StageStore) -> None:
+def test_a_stage_is_built_once_and_then_read(store):
     five = Five()
     built = store.build(KEY, five)
     again = store.build(StageKey("bank", 1, {"step_m": 0.002, "grid": "abc"}), forbidden)
@@ -31,7 +26,7 @@ def test_a_stage_is_built_once_and_then_read(store: StageStore) -> None:
     assert StageStore(store.root).get(KEY) == built
 
 
-def test_an_artifact_returns_the_saved_values(store: StageStore) -> None:
+def test_an_artifact_returns_the_saved_values(store):
     arrays = {
         "f32": np.arange(6, dtype=np.float32).reshape(2, 3),
         "empty": np.zeros((0, 4)),
@@ -60,7 +55,7 @@ def test_an_artifact_returns_the_saved_values(store: StageStore) -> None:
     assert artifact.nbytes == sum(artifact.find_file(name).stat().st_size for name in artifact.names)
 
 
-def test_the_folder_holds_only_the_kept_pieces_and_the_manifest(store: StageStore) -> None:
+def test_the_folder_holds_only_the_kept_pieces_and_the_manifest(store):
     def make(workspace: Workspace) -> None:
         Five()(workspace)
         (workspace.path / "scratch").mkdir()
@@ -78,22 +73,21 @@ def test_the_folder_holds_only_the_kept_pieces_and_the_manifest(store: StageStor
     assert set(manifest["files"]["sum.npy"]) == {"size", "sha256"}
 
 
-def test_other_inputs_give_another_artifact(store: StageStore) -> None:
+def test_other_inputs_give_another_artifact(store):
     other = StageKey("bank", 2, KEY.inputs)
-    store.build(KEY, lambda workspace: workspace.save_json("x", 1))
-    store.build(other, lambda workspace: workspace.save_json("x", 2))
-    found = [store.get(key) for key in (KEY, other)]
-    assert [artifact.load_json("x") for artifact in found if artifact] == [1, 2]
+    for number, key in enumerate((KEY, other)):
+        store.build(key, lambda workspace, number=number: workspace.save_json("x", number))
+    assert [store.get(key).load_json("x") for key in (KEY, other)] == [0, 1]
 
 
-def test_a_label_is_stored_and_is_not_part_of_the_key(store: StageStore) -> None:
+def test_a_label_is_stored_and_is_not_part_of_the_key(store):
     named = StageKey(KEY.stage, KEY.version, KEY.inputs, label="pin")
     assert named == KEY
     assert store.build(named, Five()).key.label == "pin"
     assert store.build(KEY, forbidden).key.label == "pin"
 
 
-def test_a_missing_file_of_an_artifact_is_refused_with_the_existing_files(store: StageStore) -> None:
+def test_a_missing_file_of_an_artifact_is_refused_with_the_existing_files(store):
     artifact = store.build(KEY, Five())
     with pytest.raises(StoreError, match=naming("bank", "'nothing.npy'", "piece0.npy", "sum.npy")):
         artifact.load_array("nothing")
@@ -101,16 +95,16 @@ def test_a_missing_file_of_an_artifact_is_refused_with_the_existing_files(store:
         artifact.load_json("manifest")
 
 
-@pytest.mark.parametrize("name", ["../up", "a/b", ".hidden", "", "manifest"])
-def test_names_outside_the_folder_are_refused(store: StageStore, name: str) -> None:
-    with pytest.raises(StoreError, match=naming(f"'{name}.json'", "bank")):
-        store.build(KEY, lambda workspace: workspace.save_json(name, 1))
-
-
-@pytest.mark.parametrize("value", [float("nan"), {"a": Path("x")}])
-def test_values_that_json_cannot_hold_are_refused(store: StageStore, value: object) -> None:
-    with pytest.raises(StoreError, match=naming("'x'", "bank", "JSON")):
-        store.build(KEY, lambda workspace: workspace.save_json("x", value))
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        *((name, 1, [f"'{name}.json'"]) for name in ("../up", "a/b", ".hidden", "", "manifest")),
+        *(("x", value, ["'x'", "JSON"]) for value in (float("nan"), {"a": Path("x")})),
+    ],
+)
+def test_names_outside_the_folder_and_values_that_json_cannot_hold_are_refused(store, name, value, words):
+    with pytest.raises(StoreError, match=naming("bank", *words)):
+        store.build(KEY, lambda workspace: workspace.save_json(name, value))
 
 
 # Two processes
@@ -140,7 +134,7 @@ print("RESULT", len(store.built), artifact.load_array("x").tobytes().hex())
 """
 
 
-def test_two_processes_build_once(store: StageStore, tmp_path: Path) -> None:
+def test_two_processes_build_once(store, tmp_path):
     processes = [run_python(BUILDER, store.root, tmp_path / "calls") for _ in range(2)]
     first_lines = [process.stdout.readline() for process in processes if process.stdout]
     assert sorted("waiting" in line for line in first_lines) == [False, True]
@@ -151,7 +145,7 @@ def test_two_processes_build_once(store: StageStore, tmp_path: Path) -> None:
     assert results[0][1] == results[1][1]
 
 
-def test_get_and_remove_do_not_touch_a_stage_during_its_build(store: StageStore) -> None:
+def test_get_and_remove_do_not_touch_a_stage_during_its_build(store):
     def make(workspace: Workspace) -> None:
         other = StageStore(store.root)
         assert other.get(KEY) is None
@@ -166,7 +160,7 @@ def test_get_and_remove_do_not_touch_a_stage_during_its_build(store: StageStore)
     assert not store.is_being_built(entry)
 
 
-def test_one_stage_may_build_another(store: StageStore) -> None:
+def test_one_stage_may_build_another(store):
     grid = StageKey("grid", 1, {})
 
     def make(workspace: Workspace) -> None:
@@ -180,8 +174,10 @@ def test_one_stage_may_build_another(store: StageStore) -> None:
 # The whole store
 
 
-def test_entries_are_listed_and_removed(store: StageStore) -> None:
+def test_entries_are_listed_and_removed(store):
     assert store.entries() == []
+    assert store.get(KEY) is None
+    assert not store.root.exists(), "reading creates the store"
     grid = StageKey("grid", 1, {})
     bank, poses = store.build(KEY, Five()), store.build(grid, Five())
     with pytest.raises(KeyboardInterrupt):
@@ -201,7 +197,7 @@ def test_entries_are_listed_and_removed(store: StageStore) -> None:
     assert (store.root / "grid" / "mine").is_dir()
 
 
-def test_artifacts_without_a_manifest_or_at_a_temporary_path_are_incomplete(store: StageStore) -> None:
+def test_artifacts_without_a_manifest_or_at_a_temporary_path_are_incomplete(store):
     without = store.build(KEY, Five()).path
     (without / "manifest.json").unlink()
     (entry,) = store.entries()
@@ -212,7 +208,7 @@ def test_artifacts_without_a_manifest_or_at_a_temporary_path_are_incomplete(stor
     assert [entry.complete for entry in store.entries()] == [False, False]
 
 
-def test_a_folder_that_cannot_be_removed_is_named(store: StageStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_removed_is_named(store, monkeypatch):
     folder = store.build(KEY, Five()).path
 
     def refuse(*_: object, **__: object) -> None:
@@ -223,7 +219,7 @@ def test_a_folder_that_cannot_be_removed_is_named(store: StageStore, monkeypatch
         store.remove(KEY.digest)
 
 
-def test_the_default_root_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_default_root_follows_the_environment(monkeypatch, tmp_path):
     for name in ("TACTILE_LOC_STORE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -238,13 +234,7 @@ def test_the_default_root_follows_the_environment(monkeypatch: pytest.MonkeyPatc
     assert list(tmp_path.iterdir()) == []
 
 
-def test_reading_creates_nothing(store: StageStore) -> None:
-    assert store.get(KEY) is None
-    assert store.entries() == []
-    assert not store.root.exists()
-
-
-def test_a_build_logs_its_start_and_its_end(store: StageStore, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_build_logs_its_start_and_its_end(store, caplog):
     with caplog.at_level(logging.INFO):
         store.build(KEY, Five())
     begins, ends = (record.getMessage() for record in caplog.records)

@@ -32,8 +32,10 @@ def write_stl(faces: list[list[int]] = FACES) -> bytes:
     loops = ["".join("vertex {} {} {}\n".format(*VERTICES[i]) for i in face) for face in faces]
     facets = [f"facet normal -nan(ind) 0 0\nouter loop\n{loop}endloop\nendfacet\n" for loop in loops]
     half = len(faces) // 2
-    solids = [f"solid vertex {name}\n{''.join(some)}endsolid {name}\n" for name, some in
-              (("one", facets[:half]), ("two", facets[half:]))]  # fmt: skip
+    solids = [
+        f"solid vertex {name}\n{''.join(some)}endsolid {name}\n"
+        for name, some in (("one", facets[:half]), ("two", facets[half:]))
+    ]
     return "".join(solids).encode("utf-8-sig")
 
 
@@ -92,12 +94,9 @@ def test_negative_numbers_count_back_from_their_own_line(tmp_path):
     np.testing.assert_array_equal(np.sort(surface.vertices[surface.faces][:, :, 0].mean(axis=1)), [0, 5])
 
 
-def test_a_header_of_one_line_is_read(tmp_path):
+def test_an_off_header_of_one_line_and_a_few_more_bytes_of_a_binary_stl_file_are_read(tmp_path):
     (tmp_path / "one.off").write_text("OFF 3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
     assert len(read_surface(tmp_path / "one.off").faces) == 1
-
-
-def test_a_binary_stl_file_may_have_a_few_more_bytes(tmp_path):
     (tmp_path / "tube.stl").write_bytes(write_binary_stl() + b"\n")
     surface = read_surface(tmp_path / "tube.stl")
     assert len(surface.faces) == 16

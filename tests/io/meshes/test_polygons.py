@@ -19,13 +19,11 @@ OUTLINES = {  # name: corners, and the area that they enclose
     "channel": (CHANNEL, 18.0),
     "concave quad": ([(0, 0), (3, -1), (1, 0), (3, 1)], 1.0),
     "straight corners": ([(0, 0), (1, 0), (2, 0), (3, 0), (3, 1), (3, 2), (0, 2), (0, 1)], 6.0),
-    "hole with a bridge": (
-        [(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)], 12.0
-    ),
+    "hole with a bridge": ([(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)], 12.0),
     "spike": ([(0, 0), (4, 0), (4, 4), (4, 9), (4, 4), (0, 4)], 16.0),
     "repeated corners": ([(0, 0), (0, 0), (4, 0), (4, 4), (4, 4), (4, 4), (2, 1), (0, 4), (0, 0)], 10.0),
     "comb": ([*COMB[::-1], (0, 0), (39, 0)], 199.0),
-}  # fmt: skip
+}
 
 
 def measure(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -49,13 +47,14 @@ def test_a_polygon_is_covered_once_in_its_own_orientation(name):
         assert areas.sum() == pytest.approx(area)
 
 
-def test_straight_corners_stay_corners_of_triangles():
+def test_straight_corners_stay_corners_of_triangles_and_a_face_without_area_is_dropped():
     """Neighbouring faces use these corners, so the surface would have gaps without them."""
     outline, _ = OUTLINES["straight corners"]
-    vertices = np.c_[outline, np.zeros(8)]
-    triangles = Polygons(vertices, np.arange(8), np.array([8])).triangulate(Path("part.obj"))
+    triangles = Polygons(np.c_[outline, np.zeros(8)], np.arange(8), np.array([8])).triangulate(Path("part.obj"))
     assert len(triangles) == 6
     assert set(triangles.ravel()) == set(range(8))
+    line = Polygons(np.outer(np.arange(4.0), [1, 0, 0]), np.arange(4), np.array([4]))
+    assert len(line.triangulate(Path("part.obj"))) == 0
 
 
 def test_bent_faces_and_faces_of_several_sizes_keep_their_order_of_corners():
@@ -65,11 +64,6 @@ def test_bent_faces_and_faces_of_several_sizes_keep_their_order_of_corners():
     assert (measure(vertices, triangles)[:, 2] > 0).all()
     assert measure(vertices, triangles)[:, 2].sum() == pytest.approx(18.0 + 3.0)
     assert len(triangles) == 6 + 1
-
-
-def test_a_face_without_area_is_dropped():
-    line = Polygons(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], float), np.arange(4), np.array([4]))
-    assert len(line.triangulate(Path("part.obj"))) == 0
 
 
 @pytest.mark.parametrize("tip", [1.0, 2.0])

@@ -18,11 +18,7 @@ DATA = np.random.default_rng(0).bytes(5000)
 
 @pytest.mark.parametrize(
     ("pack", "unpack"),
-    [
-        (bz2.compress, bz2.decompress),
-        (lz4.frame.compress, lz4.frame.decompress),
-        (zstd.compress, zstd.decompress),
-    ],
+    [(bz2.compress, bz2.decompress), (lz4.frame.compress, lz4.frame.decompress), (zstd.compress, zstd.decompress)],
 )
 def test_a_chunk_or_message_of_a_bag_is_unpacked_up_to_the_limit(pack, unpack):
     assert limit_unpacking(unpack)(pack(DATA)) == DATA

@@ -90,21 +90,17 @@ def test_a_folder_gives_its_newest_frame_and_then_waits(tmp_path, meanwhile):
     np.testing.assert_array_equal(found[2].image, picture(COLOURS[1]))
 
 
-def test_a_folder_waits_for_a_file_that_is_being_written(tmp_path, meanwhile):
+def test_a_folder_waits_for_a_file_that_is_being_written_unless_it_stays_damaged(tmp_path, meanwhile, monkeypatch):
     folder = tmp_path / "in"
     whole = put(folder, "whole.png", COLOURS[0], 1).read_bytes()
     (folder / "half.png").write_bytes(whole[: len(whole) // 2])
     meanwhile(lambda: (folder / "half.png").write_bytes(whole))
     names = [frame.name for frame in ImageFolder(folder, every=True).read_frames()]
     assert names == ["whole.png", "half.png"]
-
-
-def test_a_file_that_stays_damaged_gives_a_frame_with_an_error(tmp_path, monkeypatch):
-    folder = tmp_path / "in"
-    whole = put(folder, "cut.png", COLOURS[0]).read_bytes()
-    (folder / "cut.png").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "cut.png").write_bytes(whole[: len(whole) // 2])
     monkeypatch.setattr(frame_sources, "SETTLED_S", 0.0)
-    (frame,) = ImageFolder(folder, every=True).read_frames()
+    (frame,) = ImageFolder(tmp_path / "damaged", every=True).read_frames()
     with pytest.raises(TouchError, match=naming("cut.png", "png")):
         frame.read_touch(None)  # type: ignore[arg-type]
 
@@ -222,13 +218,10 @@ def test_a_camera_gives_rgb_frames_and_an_error_when_it_is_unplugged(capture):
     assert capture.asked == 0
 
 
-def test_a_missing_camera_gives_an_error_at_once(capture, monkeypatch):
+def test_a_missing_camera_or_library_gives_an_error_at_once(capture, monkeypatch):
     monkeypatch.setattr(capture, "opens", False)
     with pytest.raises(SourceError, match="camera 3"):
         Camera("3").read_frames()
-
-
-def test_a_camera_without_opencv_names_the_package_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     with pytest.raises(MissingLibraryError, match=naming("pip install 'tactile-loc[camera]'")):
         Camera("0").read_frames()
@@ -238,8 +231,7 @@ def test_exactly_one_source_must_be_given(tmp_path):
     for given in ((None, None, False), (tmp_path, "0", False)):
         with pytest.raises(SourceError, match="`camera`"):
             open_source(*given)
-    with pytest.raises(SourceError, match="`once`"):
-        open_source(None, "0", True)
-    with pytest.raises(SourceError, match=naming(tmp_path / "nowhere")):
-        open_source(tmp_path / "nowhere", None, True)
+    for given, word in (((None, "0", True), "`once`"), ((tmp_path / "nowhere", None, True), tmp_path / "nowhere")):
+        with pytest.raises(SourceError, match=naming(word)):
+            open_source(*given)
     assert isinstance(open_source(tmp_path, None, True), ImageFolder)

@@ -22,6 +22,9 @@ def picture(grey: int) -> np.ndarray:
 
 
 def test_a_folder_gives_its_newest_file_once(tmp_path):
+    for folder in (tmp_path, tmp_path / "missing"):  # empty, or missing
+        with pytest.raises(SourceError):
+            FrameTaker(ImageFolder(folder, every=False), waits_s=0.05).take()
     for n in range(3):
         Image.fromarray(picture(n)).save(tmp_path / f"{n}.png")
         os.utime(tmp_path / f"{n}.png", (10 + n, 10 + n))
@@ -31,12 +34,6 @@ def test_a_folder_gives_its_newest_file_once(tmp_path):
         taker.take()
     Image.fromarray(picture(9)).save(tmp_path / "new.png")
     assert taker.take().name == "new.png"
-
-
-def test_an_empty_or_missing_folder_is_an_error(tmp_path):
-    for folder in (tmp_path, tmp_path / "missing"):
-        with pytest.raises(SourceError):
-            FrameTaker(ImageFolder(folder, every=False), waits_s=0.05).take()
 
 
 def test_a_video_plays_until_it_ends(tmp_path, monkeypatch):

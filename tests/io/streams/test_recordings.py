@@ -88,9 +88,8 @@ def test_another_library_reads_a_written_recording(recorded):
 def test_a_written_recording_is_read_back(recorded):
     recording = Recording(recorded)
     contents = recording.read_contents()
-    assert {topic.name: count for topic, count in contents.counts.items()} == {
-        "/tf_static": 1, "/tf": 6, "/gel/image": 6, "/object/pose": 6
-    }  # fmt: skip
+    counts = {topic.name: count for topic, count in contents.counts.items()}
+    assert counts == {"/tf_static": 1, "/tf": 6, "/gel/image": 6, "/object/pose": 6}
     assert choose_image_topic(contents, recorded, None).name == "/gel/image"
     for k, message in enumerate(recording.read_messages("/gel/image")):
         assert message.log_time_ns == k * S + 9
@@ -194,22 +193,14 @@ def test_a_damaged_chunk_is_not_read(tmp_path):
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
     recording = Recording(path)
-    found = list(recording.read_messages())
-    assert 0 < len(found) < 6
+    assert 0 < len(list(recording.read_messages())) < 6
     assert "crc" in recording.damage.lower()
 
 
-def test_a_recording_without_an_index_is_read(recorded):
-    recorded.write_bytes(recorded.read_bytes()[:-20])
-    assert Recording(recorded).read_contents().damage == ""
-
-
 def test_a_file_that_is_not_a_recording_gives_a_one_sentence_error(tmp_path):
-    (tmp_path / "text.mcap").write_text("no recording at all")
-    (tmp_path / "empty.mcap").touch()
-    (tmp_path / "text.bag").write_text("no bag")
+    for name in ("text.mcap", "text.bag", "empty.mcap", "touch.npz"):
+        (tmp_path / name).write_text("no recording at all" if name.startswith("text") else "")
     (tmp_path / "folder").mkdir()
-    (tmp_path / "touch.npz").touch()
     with pytest.raises(RecordingError, match=naming(tmp_path / "none.mcap")):
         Recording(tmp_path / "none.mcap").read_contents()
     for name in ("text.mcap", "empty.mcap", "text.bag", "folder", "touch.npz"):
@@ -217,8 +208,11 @@ def test_a_file_that_is_not_a_recording_gives_a_one_sentence_error(tmp_path):
             Recording(tmp_path / name).read_contents()
 
 
-def test_a_recording_that_is_cut_off_before_its_first_message_is_called_damaged(recorded):
-    recorded.write_bytes(recorded.read_bytes()[:100])
+def test_a_recording_without_an_index_is_read_and_one_without_messages_is_called_damaged(recorded):
+    whole = recorded.read_bytes()
+    recorded.write_bytes(whole[:-20])
+    assert Recording(recorded).read_contents().damage == ""
+    recorded.write_bytes(whole[:100])
     with pytest.raises(RecordingError, match=naming(recorded, "damaged")) as caught:
         Recording(recorded).read_contents()
     assert ".bag" not in str(caught.value)
@@ -237,9 +231,8 @@ def test_a_missing_topic_is_refused_with_the_existing_topics(recorded, tmp_path)
     with pytest.raises(RecordingError, match=naming("two.mcap", "`image_topic`", "/left", "/right")):
         choose_image_topic(Recording(several).read_contents(), several, None)
     moving = write_recording(tmp_path / "tf.mcap", lambda w: w.write("/tf", TF, make_transforms({}, 0), 0))
-    with pytest.raises(
-        RecordingError, match=naming("tf.mcap", "sensor_msgs/msg/Image", "/tf (tf2_msgs/msg/TFMessage)")
-    ):
+    expected = naming("tf.mcap", "sensor_msgs/msg/Image", "/tf (tf2_msgs/msg/TFMessage)")
+    with pytest.raises(RecordingError, match=expected):
         choose_image_topic(Recording(moving).read_contents(), moving, None)
 
 
@@ -263,10 +256,9 @@ def test_messages_of_unknown_encodings_are_refused_when_decoded(tmp_path):
 @pytest.mark.parametrize("library", ["mcap", "rosbags"])
 def test_a_missing_library_is_named(recorded, tmp_path, monkeypatch, library):
     monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(MissingLibraryError, match=naming(library, "pip install 'tactile-loc[recordings]'")):
-        Recording(recorded)
-    with pytest.raises(MissingLibraryError, match=naming(library, "pip install 'tactile-loc[recordings]'")):
-        write_recording(tmp_path / "other.mcap", fill)
+    for use in (lambda: Recording(recorded), lambda: write_recording(tmp_path / "other.mcap", fill)):
+        with pytest.raises(MissingLibraryError, match=naming(library, "pip install 'tactile-loc[recordings]'")):
+            use()
     assert not (tmp_path / "other.mcap").exists()
 
 
