@@ -74,11 +74,11 @@ annex() { refuses "./plugins_contrib/tactile-loc-$1" "$1"; } # a command of a pa
 touch empty.mcap empty.mp4 empty.step empty.stl
 annex app
 annex benchmark
+annex library
 needs camera live --camera 0 --object hook --port 0
 needs clearance next-touch result --around 3 --finger 32x28x24mm --out refused
 needs kiss run --refiner kiss-icp --out refused
 needs learned run --encoder moco --out refused
-needs library library build empty.stl --workers 1 --out refused
 needs recordings replay empty.mcap --image-topic /gel/image --object hook
 needs step run --object empty.step --units mm --touch touch.npz --out refused
 needs sweep sweep --object hook --out refused

@@ -66,8 +66,13 @@ def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[...
     return command
 
 
+# Each command has these settings itself, because its parser is also used without that of the whole command line.
+HELP_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
+
+
 def make_typer(**settings: Any) -> typer.Typer:
     """Return an empty typer application whose help is plain text."""
+    settings = {"context_settings": HELP_SETTINGS, **settings}
     return typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, **settings)
 
 
@@ -84,13 +89,13 @@ def build_failing_command(name: str, error: TactileLocError) -> TyperCommand | T
     def fail() -> None:
         raise error
 
-    anything = {"ignore_unknown_options": True, "allow_extra_args": True}
+    anything = {**HELP_SETTINGS, "ignore_unknown_options": True, "allow_extra_args": True}
     return _build_single(name, fail, hidden=True, add_help_option=False, context_settings=anything)
 
 
 def _build_single(name: str, function: Callable[..., Any], **settings: Any) -> TyperCommand | TyperGroup:
     application = make_typer(add_completion=False)
-    application.command(name, **settings)(make_command(function))
+    application.command(name, **{"context_settings": HELP_SETTINGS, **settings})(make_command(function))
     return get_command(application)  # type: ignore[return-value]
 
 
@@ -99,7 +104,7 @@ def _make_group(application: typer.Typer, summary: str) -> typer.Typer:
     group = make_typer(help=summary)
     for info in application.registered_commands:
         if info.callback is not None:
-            group.command(info.name, hidden=info.hidden)(make_command(info.callback))
+            group.command(info.name, hidden=info.hidden, context_settings=HELP_SETTINGS)(make_command(info.callback))
     for inner in application.registered_groups:
         if inner.typer_instance is not None:
             about = inner.help if isinstance(inner.help, str) else ""

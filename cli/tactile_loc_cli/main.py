@@ -123,11 +123,7 @@ def _find_command(group: TyperGroup, words: Sequence[str]) -> list[str]:
     return [name, *(_find_command(found, words[words.index(name) + 1 :]) if isinstance(found, TyperGroup) else [])]
 
 
-app = make_typer(
-    cls=Commands,
-    invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-)
+app = make_typer(cls=Commands, invoke_without_command=True)
 
 
 def _show_version(asked: bool) -> None:
