@@ -18,7 +18,6 @@ from tactile_loc.core.runtime.errors import (
     MissingLibraryError,
     PluginConflictError,
     PluginLoadError,
-    TactileLocError,
     UnknownPluginError,
 )
 from tactile_loc.slots.component import Component
@@ -276,11 +275,6 @@ def test_an_invalid_option_value_gives_an_error_with_the_fault(values, problem):
 def test_an_option_of_a_component_without_options_is_refused():
     with pytest.raises(ConfigError, match=naming("refiner 'none'", "'reach'")):
         registry().create("refiner", "none", {"reach": 1})
-
-
-def test_all_registry_errors_derive_from_the_project_error():
-    for error in (ConfigError, MissingLibraryError, PluginConflictError, PluginLoadError, UnknownPluginError):
-        assert issubclass(error, TactileLocError)
 
 
 class Still(Refiner):

@@ -2,6 +2,7 @@
 
 import pytest
 
+from tactile_loc.core.runtime import errors
 from tactile_loc.core.runtime.errors import ConfigError, TactileLocError, did_you_mean, fold_line, name_source, quote
 
 
@@ -58,3 +59,9 @@ def test_only_similar_names_are_suggested(name, known, meant):
     said = did_you_mean(name, known)
     assert [other for other in known if repr(other) in said] == meant
     assert bool(said) == bool(meant)
+
+
+def test_every_error_derives_from_the_project_error():
+    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, Exception)]
+    assert len(kinds) > 10
+    assert all(issubclass(kind, TactileLocError) for kind in kinds)

@@ -27,14 +27,15 @@ from tactile_loc.testing.problems import make_place_training_problem  # noqa: E4
 
 TINY = {"epochs": 3, "queries": 64, "batch": 32, "channels": 4, "noise": "mild"}
 PLACES = {"epochs": 2, "queries": 32}  # all rotations of a place are touches of it
-FEW = 32  # touches to validate with
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
-@pytest.fixture(autouse=True)
-def few_touches_to_validate_with(monkeypatch):
-    monkeypatch.setattr(training, "VALIDATION_TOUCHES", FEW)
+@pytest.fixture(autouse=True, scope="module")
+def few_touches_to_validate_with():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "VALIDATION_TOUCHES", 32)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +68,8 @@ def same(a: MocoEncoder, b: MocoEncoder) -> bool:
 @pytest.fixture(scope="module")
 def learned(problem, one_thread) -> MocoEncoder:
     """An encoder that was trained without interruption; tests must not change it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "VALIDATION_TOUCHES", FEW)
-        encoder = make()
-        encoder.fit(problem)
+    encoder = make()
+    encoder.fit(problem)
     return encoder
 
 
@@ -134,17 +133,6 @@ def test_equal_seeds_learn_equal_weights_and_other_seeds_learn_others(problem, l
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stop_at", [1, 2])
-def test_an_interrupted_training_ends_like_an_uninterrupted_one(problem, learned, tmp_path, stop_at):
-    stopped = dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at))
-    with pytest.raises(KeyboardInterrupt):
-        make().fit(stopped)
-    resumed = make()
-    resumed.fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path)))
-    assert same(learned, resumed)
-
-
-@pytest.mark.slow
 def test_early_stopping_keeps_the_best_network(problem, monkeypatch):
     losses = iter([3.0, 1.0, 2.0, 2.0, 2.0, 2.0])
     seen = []
@@ -180,26 +168,13 @@ def test_a_later_nan_loss_keeps_the_last_good_network(problem, monkeypatch, capl
     assert good.recipe.epochs == 1
 
 
-def test_weights_are_read_back_from_a_file(problem, tmp_path):
-    encoder = make(epochs=1)
-    encoder.fit(problem)
-    encoder.save_weights(tmp_path / "w.safetensors")
-    other = make(epochs=1)
-    other.load_weights(tmp_path / "w.safetensors")
-    depth = np.concatenate(list(problem.shapes()))[:5]
-    geometry = problem.scene.geometry
-    np.testing.assert_array_equal(*(e.encode(depth, geometry.max_depth_m, geometry) for e in (encoder, other)))
-
-
 @pytest.mark.parametrize("damage", ["truncated", "another architecture"])
-def test_weights_that_do_not_fit_are_refused(problem, tmp_path, damage):
+def test_weights_that_do_not_fit_are_refused(learned, tmp_path, damage):
     path = tmp_path / "w.safetensors"
-    encoder = make(epochs=1)
-    encoder.fit(problem)
-    encoder.save_weights(path)
+    learned.save_weights(path)
     if damage == "truncated":
         path.write_bytes(path.read_bytes()[:-100])
-    reader = make(epochs=1) if damage == "truncated" else make(epochs=1, channels=8)
+    reader = make() if damage == "truncated" else make(channels=8)
     with pytest.raises(WeightsError, match=r"w\.safetensors"):
         reader.load_weights(path)
 
@@ -270,10 +245,33 @@ def test_a_localizer_trains_once_and_reads_the_weights_back(store):
 def places(one_thread):
     """Return an encoder that has learned the places of a small block, and its training problem."""
     problem, encoder = make_place_training_problem(), make(**PLACES)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "VALIDATION_TOUCHES", FEW)
-        encoder.fit(problem)
+    encoder.fit(problem)
     return encoder, problem
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "stop_at"), [("poses", 1), ("poses", 2), ("places", 1)])
+def test_an_interrupted_training_ends_like_an_uninterrupted_one(problem, learned, places, tmp_path, kind, stop_at):
+    encoder, problem, options = (learned, problem, {}) if kind == "poses" else (*places, PLACES)
+    with pytest.raises(KeyboardInterrupt):
+        make(**options).fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at)))
+    resumed = make(**options)
+    resumed.fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path)))
+    assert same(encoder, resumed)
+
+
+def test_weights_are_read_back_from_a_file(problem, learned, places, tmp_path):
+    depth, (keys, seen) = np.concatenate(list(problem.shapes()))[:5], some_seen(places[1], np.random.default_rng(1))
+    geometry, camera = problem.scene.geometry, places[1].geometry
+    for written, read in ((learned, make()), (places[0], make(**PLACES))):
+        written.save_weights(tmp_path / "w.safetensors")
+        read.load_weights(tmp_path / "w.safetensors")
+        assert same(written, read)
+        both = (written, read)
+        if written is learned:
+            np.testing.assert_array_equal(*(one.encode(depth, geometry.max_depth_m, geometry) for one in both))
+        else:
+            np.testing.assert_array_equal(*(one.encode_seen(keys, seen, 1e-3, camera)[0] for one in both))
 
 
 def some_seen(problem, rng):
@@ -291,27 +289,6 @@ def test_the_embedding_of_a_place_ignores_unobserved_pixels(places):
     np.testing.assert_allclose(np.linalg.norm(one, axis=1), 1.0, atol=1e-5)
     out_of_contact = encoder.encode(np.where(seen, keys, np.float32(1e-3)), 1e-3, problem.geometry)
     assert np.abs(one - out_of_contact).max() > 1e-3, "unobserved pixels count as pixels without contact"
-
-
-def test_an_encoder_of_places_is_read_back_from_a_file(places, tmp_path):
-    encoder, problem = places
-    encoder.save_weights(tmp_path / "w.safetensors")
-    other = make(**PLACES)
-    other.load_weights(tmp_path / "w.safetensors")
-    keys, seen = some_seen(problem, np.random.default_rng(1))
-    ours, theirs = (e.encode_seen(keys, seen, 1e-3, problem.geometry)[0] for e in (encoder, other))
-    np.testing.assert_array_equal(ours, theirs)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stop_at", [1])
-def test_an_interrupted_training_on_places_ends_like_an_uninterrupted_one(places, tmp_path, stop_at):
-    encoder, problem = places
-    with pytest.raises(KeyboardInterrupt):
-        make(**PLACES).fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path, stop_at)))
-    resumed = make(**PLACES)
-    resumed.fit(dataclasses.replace(problem, checkpoints=FileCheckpoints(tmp_path)))
-    assert same(encoder, resumed)
 
 
 def test_weight_files_without_a_plane_count_have_one_plane(problem, learned, tmp_path):

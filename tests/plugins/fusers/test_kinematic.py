@@ -29,12 +29,6 @@ def test_all_poses_that_touch_all_sensors_are_equally_probable(box):
     assert KinematicFuser.capabilities.contact_only
 
 
-def test_the_prior_weights_the_poses(box):
-    touches = [line(box, [0, 1, 2], [0, 0, 0]), line(box, [1, 2], [0, 0], 1)]
-    fused = KinematicFuser(KinematicFuser.Options(reach=0.4)).fuse(touches, T_BASE, lambda T: np.log([0.7, 0.1, 0.2]))
-    np.testing.assert_allclose(fused.probabilities, [0, 1 / 3, 2 / 3], atol=1e-12)
-
-
 def test_the_kinematic_fuser_excludes_the_same_poses_as_the_product(box):
     touches = [line(box, [0, 1, 2, 3], [0, -1, -2, -3]), line(box, [2, 5, 3], [-1, -1, -2], 1)]
     supports = [np.isfinite(f.fuse(touches, T_BASE).log_p).tolist() for f in (KinematicFuser(), ProductFuser())]

@@ -32,11 +32,6 @@ def test_the_scale_of_the_prior_does_not_matter(posterior):
     np.testing.assert_allclose(a.probabilities, b.probabilities, rtol=1e-9)
 
 
-def test_a_prior_may_exclude_poses(posterior):
-    fused = ProductFuser().fuse([posterior], [None], lambda T: np.where(T[:, 0, 3] < 0.0015, 0.0, -np.inf))
-    np.testing.assert_allclose(fused.probabilities, [1 / 3, 2 / 3, 0, 0])
-
-
 @pytest.mark.parametrize("weights", [0.0, np.zeros(3), np.zeros((4, 1)), np.full(4, np.nan), [0.0, 0.0, np.inf, 0.0]])
 def test_a_prior_without_one_log_weight_per_pose_is_refused(posterior, weights):
     with pytest.raises(ConfigError, match=naming("prior", np.shape(weights), 4, "(N,)")):
@@ -127,13 +122,6 @@ def test_the_reach_is_measured_in_spacings_of_the_coarser_grid(box):
     )
 
 
-def test_another_first_touch_gives_the_same_product_over_its_grid(box):
-    touches = toys(box, 2)
-    ahead = ProductFuser(ProductFuser.Options(reach=0.4)).fuse(touches, T_BASE[:2])
-    behind = ProductFuser(ProductFuser.Options(reach=0.4)).fuse(touches[::-1], T_BASE[1::-1])
-    np.testing.assert_allclose(behind.probabilities, ahead.probabilities[[3, 2, 1]], atol=1e-9)
-
-
 def test_two_touches_of_one_sensor_pose_need_no_lookup(box, monkeypatch):
     first = toy(box, [0, 1, 2], [0.2, 0.3, 0.5])
     again = PosePosterior(first.grid, np.log([0.5, 0.3, 0.2]))
@@ -151,11 +139,6 @@ def test_equivalent_poses_count_as_one(make_box, cylinder, symmetry):
     second = PosePosterior(PoseGrid(seen, plain.grid.metric), np.log([0.5, 0.3, 0.2]))
     fused = ProductFuser(ProductFuser.Options(reach=0.1)).fuse([plain, second], T_BASE[:2])
     np.testing.assert_allclose(fused.probabilities, np.array([0.1, 0.09, 0.1]) / 0.29, atol=1e-9)
-
-
-def test_a_prior_on_one_pose_returns_it(box):
-    fused = ProductFuser().fuse(toys(box, 3), T_BASE, lambda T: np.where(np.arange(len(T)) == 2, -1e4, -np.inf))
-    np.testing.assert_allclose(fused.probabilities, [0, 0, 1, 0], atol=1e-12)
 
 
 def test_very_small_probabilities_neither_vanish_nor_overflow(box):

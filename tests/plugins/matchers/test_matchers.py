@@ -18,9 +18,10 @@ from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.simulate.touch_simulation import simulate_touches
 
 
-def brute_force(queries: np.ndarray, bank: np.ndarray) -> np.ndarray:
+def brute_force(queries: np.ndarray, bank: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
     q, b = queries.astype(float), bank.astype(float)
-    return -0.5 * ((q[:, None] - b[None]) ** 2).sum(axis=-1)
+    w = np.ones_like(q) if weights is None else weights.astype(float)
+    return np.stack([-0.5 * ((one - b) ** 2 @ known) for one, known in zip(q, w, strict=True)])
 
 
 @pytest.fixture(scope="module")
@@ -29,25 +30,16 @@ def random_bank() -> tuple[np.ndarray, np.ndarray]:
     return rng.normal(size=(9, 24)).astype(np.float32), rng.normal(size=(500, 24)).astype(np.float32)
 
 
-def weighted_brute_force(queries: np.ndarray, bank: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    q, b, w = queries.astype(float), bank.astype(float), weights.astype(float)
-    return np.stack([-0.5 * ((one - b) ** 2 @ known) for one, known in zip(q, w, strict=True)])
-
-
 @pytest.fixture(scope="module")
 def place_bank(store) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A touch of the whole pin rotated by every third degree, its known pixels, and the bank of the pin's places."""
+    """A touch of the whole pin rotated by every third degree, the bank of the pin's places, and the known pixels."""
     localizer = Localizer.create("pin", store=store, grid="whole", sensor="gelsight-mini")
     (touch,) = localizer.simulate(1, seed=3, noise="strong")
-    places, yaws_rad, press_m = (
-        localizer.source.place_search.places,
-        localizer.source.place_search.yaws_rad,
-        touch.press_depth_m,
-    )
-    depths_m, seen = rotate_patches(touch, *find_anchor(touch), yaws_rad)
+    search, press_m = localizer.source.place_search, touch.press_depth_m
+    depths_m, seen = rotate_patches(touch, *find_anchor(touch), search.yaws_rad)
     queries, weights = localizer.encoder.encode_seen(depths_m, seen, press_m, CAMERA)
     assert 0.2 < weights.mean() < 0.8
-    return queries, weights, localizer.encoder.encode(places.depths(press_m, slice(None)), press_m, CAMERA)
+    return queries, localizer.encoder.encode(search.places.depths(press_m, slice(None)), press_m, CAMERA), weights
 
 
 @pytest.fixture(scope="module")
@@ -72,23 +64,39 @@ def dense_of(bank: np.ndarray) -> DenseMatcher:
     return matcher
 
 
-def test_dense_equals_brute_force(random_bank, real_bank):
-    for many, bank in (random_bank, real_bank):
-        queries = many[:20]
-        scores = dense_of(bank).scores(queries)
-        assert scores.shape == (len(queries), len(bank))
-        np.testing.assert_allclose(scores, brute_force(queries, bank), atol=1e-4, rtol=1e-4)
+@pytest.fixture(params=["real_bank", "place_bank"])
+def case(request) -> tuple[np.ndarray, ...]:
+    """Queries and a bank without weights, and the same with weights."""
+    return request.getfixturevalue(request.param)
 
 
-def test_weighted_dense_equals_brute_force(place_bank):
-    queries, weights, bank = place_bank
-    scores = dense_of(bank).scores(queries, weights)
-    np.testing.assert_allclose(scores, weighted_brute_force(queries, bank, weights), atol=1e-6)
+def test_dense_equals_brute_force(case):
+    queries, bank, *weights = case
+    scores = dense_of(bank).scores(queries, *weights)
+    np.testing.assert_allclose(scores, brute_force(queries, bank, *weights), atol=1e-6, rtol=1e-4)
 
 
-def test_a_score_of_unit_vectors_is_the_cosine_minus_one(random_bank):
-    queries, bank = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in random_bank)
-    np.testing.assert_allclose(dense_of(bank).scores(queries), queries @ bank.T - 1, atol=1e-6)
+def test_faiss_flat_equals_dense_for_the_best_rows(case):
+    """The scores agree to 1e-5 of the best rows' scores, the precision of float32 sums."""
+    queries, bank, *weights = case
+    exact, found = (one.scores(queries, *weights) for one in (dense_of(bank), matcher_of(bank, top_k=50)))
+    assert (np.isfinite(found).sum(axis=1) == 50).all()
+    for row, scores in zip(exact, found, strict=True):
+        kept = np.isfinite(scores)
+        np.testing.assert_allclose(scores[kept], row[kept], atol=1e-5 * np.abs(row[kept]).max())
+        assert row[kept].min() >= row[~kept].max() - 1e-7, "a better row was left out"
+
+
+@pytest.mark.parametrize("kind", ["hnsw", "ivf"])
+def test_approximate_search_finds_most_of_the_best_rows(case, kind):
+    queries, bank, *weights = case
+    exact = dense_of(bank).scores(queries, *weights)
+    found = matcher_of(bank, kind=kind, effort=32, top_k=200).scores(queries, *weights)
+    kept = np.isfinite(found)
+    np.testing.assert_allclose(found[kept], exact[kept], atol=1e-6)
+    best = np.argsort(-exact, axis=1)[:, :20]
+    assert np.take_along_axis(kept, best, axis=1).mean() >= 0.95
+    assert 0 < kept.sum() < kept.size
 
 
 def test_dense_takes_any_memory_layout_and_keeps_the_bank(random_bank):
@@ -99,44 +107,11 @@ def test_dense_takes_any_memory_layout_and_keeps_the_bank(random_bank):
     assert np.array_equal(bank, before)
 
 
-def test_faiss_flat_equals_dense_for_the_best_rows(real_bank):
-    queries, bank = real_bank
-    exact, found = dense_of(bank).scores(queries), matcher_of(bank, top_k=50).scores(queries)
-    assert (np.isfinite(found).sum(axis=1) == 50).all()
-    for row, scores in zip(exact, found, strict=True):
-        kept = np.isfinite(scores)
-        np.testing.assert_allclose(scores[kept], row[kept], atol=1e-5)
-        assert row[kept].min() >= row[~kept].max() - 1e-5, "a better row was left out"
-
-
-def test_weighted_faiss_flat_equals_dense_for_the_best_rows(place_bank):
-    """The scores agree to 1e-5 of the best rows' scores, the precision of float32 sums."""
-    queries, weights, bank = place_bank
-    exact, found = dense_of(bank).scores(queries, weights), matcher_of(bank, top_k=50).scores(queries, weights)
-    assert (np.isfinite(found).sum(axis=1) == 50).all()
-    for row, scores in zip(exact, found, strict=True):
-        kept = np.isfinite(scores)
-        np.testing.assert_allclose(scores[kept], row[kept], atol=1e-5 * np.abs(row[kept]).max())
-        assert row[kept].min() >= row[~kept].max() - 1e-7, "a better row was left out"
-
-
 def test_a_bank_far_from_the_origin_costs_weighted_faiss_no_accuracy(random_bank):
     queries, bank = (rows + np.float32(100) for rows in random_bank)
     weights = np.random.default_rng(2).uniform(size=queries.shape).astype(np.float32)
     found = matcher_of(bank).scores(queries, weights)
-    np.testing.assert_allclose(found, weighted_brute_force(queries, bank, weights), rtol=1e-4)
-
-
-@pytest.mark.parametrize("kind", ["hnsw", "ivf"])
-def test_approximate_search_finds_most_of_weighted_queries(place_bank, kind):
-    queries, weights, bank = place_bank
-    exact = dense_of(bank).scores(queries, weights)
-    found = matcher_of(bank, kind=kind, effort=32, top_k=200).scores(queries, weights)
-    kept = np.isfinite(found)
-    np.testing.assert_allclose(found[kept], exact[kept], atol=1e-6)
-    best = np.argsort(-exact, axis=1)[:, :20]
-    assert np.take_along_axis(kept, best, axis=1).mean() >= 0.95
-    assert kept.sum() < kept.size
+    np.testing.assert_allclose(found, brute_force(queries, bank, weights), rtol=1e-4)
 
 
 def test_weighted_and_plain_queries_may_alternate(random_bank):
@@ -160,17 +135,6 @@ def test_faiss_accepts_a_bank_smaller_than_top_k(random_bank):
     for kind in ("flat", "hnsw", "ivf"):
         scores = matcher_of(bank[:60], kind=kind, top_k=1000, effort=256).scores(queries)
         np.testing.assert_allclose(scores, brute_force(queries, bank[:60]), atol=1e-4, rtol=1e-4)
-
-
-@pytest.mark.parametrize("kind", ["hnsw", "ivf"])
-def test_approximate_search_finds_the_best(real_bank, kind):
-    queries, bank = real_bank
-    exact, found = dense_of(bank).scores(queries), matcher_of(bank, kind=kind, effort=16, top_k=100).scores(queries)
-    recall = np.isclose(exact.max(axis=1), found.max(axis=1), atol=1e-5).mean()
-    assert recall >= 0.95
-    kept = np.isfinite(found)
-    assert 0 < kept.sum() < kept.size
-    np.testing.assert_allclose(found[kept], exact[kept], atol=1e-5)
 
 
 def test_ivf_scores_more_rows_with_more_effort(real_bank):

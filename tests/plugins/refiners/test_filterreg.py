@@ -184,19 +184,6 @@ def test_a_plane_does_not_slide():
     np.testing.assert_allclose(T[:3, 3], [0, 0, -0.3], atol=1e-3)
 
 
-def test_a_known_offset_is_undone(pin_scene, pin_touches, off_by, error_mm):
-    errors, before = [], []
-    for i, touch in enumerate(pin_touches):
-        candidate = off_by(touch, 1.0, 3.0, float(i))
-        refined = FilterRegRefiner().refine(touch, candidate, pin_scene)
-        assert refined.converged
-        errors.append(error_mm(touch, refined.T_sensor_object))
-        before.append(error_mm(touch, candidate.T_sensor_object))
-    assert min(before) > 0.9
-    assert np.median(errors) < 0.1
-    assert max(errors) < 0.5 * min(before)
-
-
 def test_nan_pixels_are_no_contact(pin_scene, pin_touches, off_by):
     touch = pin_touches[0]
     depth = touch.contact_shape.depth_m.copy()
