@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from typer.testing import Result
@@ -32,6 +35,14 @@ def command(*words: object) -> list[str]:
 def hear_ctrl_c() -> None:
     """Let a process react to Ctrl-C as in a terminal; background jobs of a shell would ignore it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def start_process(line: list[str], folder: Path, store: Path, **options: Any) -> subprocess.Popen[str]:
+    """Start a command line in a folder, with a store; the process reacts to Ctrl-C as in a terminal."""
+    environment, pipe = {**os.environ, "TACTILE_LOC_STORE": str(store)}, subprocess.PIPE
+    return subprocess.Popen(
+        line, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True, preexec_fn=hear_ctrl_c, **options
+    )
 
 
 def assert_one_error(stderr: str, code: int, *mentioned: str) -> None:

@@ -16,7 +16,6 @@ from tactile_loc_cli.command import make_command
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
-from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.store.store import StageStore
 
@@ -60,18 +59,20 @@ def test_every_command_has_the_shared_options(cli, words):
     assert all(option in text for option in ("--json", "-v, --verbose", "-q, --quiet"))
 
 
-def test_objects_lists_the_demo_objects(document):
-    assert [o["name"] for o in document("objects")["objects"]] == list(DEMO_OBJECTS)
-
-
-def test_build_reports_object_grid_and_stages(document, tmp_path):
-    found = document("build", *PIN, "--store", tmp_path / "store")
+def test_build_and_store_report_object_grid_stages_entries_and_bytes(document, tmp_path):
+    store = tmp_path / "store"
+    found = document("build", *PIN, "--store", store)
     assert (found["object"]["name"], found["object"]["symmetry"]) == ("pin", "z2")
     assert max(found["object"]["size_m"]) == pytest.approx(0.031, abs=1e-3)
     assert found["grid"]["mean_spacing_m"] == pytest.approx(0.008, rel=0.15)
     assert set(found["stages"].values()) == {"built"}
-    assert set(document("build", *PIN, "--store", tmp_path / "store")["stages"].values()) == {"reused"}
-    assert found["store"] == str(tmp_path / "store")
+    assert set(document("build", *PIN, "--store", store)["stages"].values()) == {"reused"}
+    assert found["store"] == str(store)
+    entries = document("store", "list", "--store", store)["entries"]
+    assert {entry["digest"] for entry in entries} == {entry.digest for entry in StageStore(store).entries()}
+    assert document("store", "size", "--store", store)["bytes"] == sum(entry["bytes"] for entry in entries)
+    pruned = document("store", "prune", "--all", "--yes", "--store", store)
+    assert pruned["bytes"] == sum(entry["bytes"] for entry in entries)
 
 
 def test_simulate_reports_touches_images_and_poses(document):
@@ -123,31 +124,21 @@ def test_calibrate_reports_angles_in_radians(document):
     assert Path(found["picture"]).is_file()
 
 
-def test_store_reports_entries_and_bytes(document, tmp_path):
-    store = tmp_path / "store"
-    document("build", *PIN, "--store", store)
-    entries = document("store", "list", "--store", store)["entries"]
-    assert {entry["digest"] for entry in entries} == {entry.digest for entry in StageStore(store).entries()}
-    assert document("store", "size", "--store", store)["bytes"] == sum(entry["bytes"] for entry in entries)
-    pruned = document("store", "prune", "--all", "--yes", "--store", store)
-    assert pruned["bytes"] == sum(entry["bytes"] for entry in entries)
-
-
 @pytest.mark.parametrize(
-    ("words", "kind", "code"),
+    ("words", "kind"),
     [
-        (["run", *PIN, "--touch", "none.npz"], "TouchError", 2),
-        (["build", "--object", "pinn"], "ObjectError", 2),
-        (["run", "--refiner", "ipc"], "UnknownPluginError", 2),
-        (["run", "--objct", "pin"], "UsageError", 2),
-        (["rnu"], "UsageError", 2),
-        (["store"], "UsageError", 2),
-        (["objects", "store"], "UsageError", 2),
+        (["run", *PIN, "--touch", "none.npz"], "TouchError"),
+        (["build", "--object", "pinn"], "ObjectError"),
+        (["run", "--refiner", "ipc"], "UnknownPluginError"),
+        (["run", "--objct", "pin"], "UsageError"),
+        (["rnu"], "UsageError"),
+        (["store"], "UsageError"),
+        (["objects", "store"], "UsageError"),
     ],
 )
-def test_an_error_is_a_document_and_stderr_is_unchanged(cli, words, kind, code):
+def test_an_error_is_a_document_and_stderr_is_unchanged(cli, words, kind):
     plain, done = cli(*words), cli(*words, "--json")
-    assert (done.exit_code, plain.exit_code) == (code, code)
+    assert (done.exit_code, plain.exit_code) == (2, 2)
     error = parsed(done.stdout)["error"]
     assert error["kind"] == kind
     if words[0] not in ("rnu", "store"):  # without a valid command, --json belongs to no command
@@ -170,9 +161,8 @@ def test_an_unexpected_error_or_interruption_is_a_document(cli, monkeypatch, rai
     assert parsed(done.stdout)["error"]["kind"] == kind
 
 
-@pytest.fixture
-def made_up():
-    """A program with two commands from make_command: one prints and returns a document, one returns nothing."""
+def test_stdout_contains_only_the_document():
+    """A command from make_command prints and returns a document, another returns nothing."""
     made = typer.Typer()
 
     def talk() -> dict:
@@ -185,17 +175,9 @@ def made_up():
 
     made.command("talk")(make_command(talk))
     made.command("quiet")(make_command(lambda: None))
-    return made
-
-
-def test_stdout_contains_only_the_document(made_up):
-    done = CliRunner().invoke(made_up, ["talk", "--json"])
+    done = CliRunner().invoke(made, ["talk", "--json"])
     expected = {"path": "a", "nan": None, "array": [0, 1], "one": 1.0, "nested": [[], {}]}
     assert parsed(done.stdout) == expected
     assert done.stderr == "on stderr\n"
-    plain = CliRunner().invoke(made_up, ["talk"])
-    assert plain.stdout == "a line\na b\nrich\na stranger\n"
-
-
-def test_a_command_without_a_result_gives_an_empty_document(made_up):
-    assert parsed(CliRunner().invoke(made_up, ["quiet", "--json"]).stdout) == {}
+    assert CliRunner().invoke(made, ["talk"]).stdout == "a line\na b\nrich\na stranger\n"
+    assert parsed(CliRunner().invoke(made, ["quiet", "--json"]).stdout) == {}

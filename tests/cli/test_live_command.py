@@ -18,7 +18,7 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from cli_helpers import HANGS_S, TINY, assert_refused, command, hear_ctrl_c, succeed
+from cli_helpers import HANGS_S, TINY, assert_refused, command, start_process, succeed
 from message_helpers import missing
 
 from tactile_loc.io.streams import frame_sources
@@ -121,19 +121,7 @@ def going(touches, tmp_path, store) -> Iterator[Callable[..., subprocess.Popen[s
     started: list[subprocess.Popen[str]] = []
 
     def start(*words: object) -> subprocess.Popen[str]:
-        line = command("live", *words, *LOCATED)
-        variables = {**os.environ, "TACTILE_LOC_STORE": str(store)}
-        started.append(
-            subprocess.Popen(
-                line,
-                cwd=tmp_path,
-                env=variables,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                preexec_fn=hear_ctrl_c,
-            )
-        )
+        started.append(start_process(command("live", *words, *LOCATED), tmp_path, store))
         return started[-1]
 
     yield start

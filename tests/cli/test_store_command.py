@@ -24,15 +24,11 @@ from tactile_loc.store.store import StageStore
 DAY_S = 86400
 OBJECT = {"mesh": "ab12cd34" + "0" * 56, "symmetry": "z2", "centre_m": [0, 0, 0]}
 GRID = StageKey("grid", 1, {"object": OBJECT, "sampler": {"class": "tactile_loc.plugins.grids.face:FaceGrid"}})
-SHAPES = StageKey("shapes", 1, {
-    "grid": GRID.digest, "renderer": {"class": "tactile_loc.plugins.renderers.raycast:RaycastRenderer"},
-})  # fmt: skip
-BANKS = [
-    StageKey("bank", 1, {
-        "shapes": SHAPES.digest, "press_depth_m": press_m, "trained": "",
-        "encoder": {"class": "tactile_loc.plugins.encoders.pixel:PixelEncoder"},
-    }) for press_m in (0.001, 0.002)
-]  # fmt: skip
+RAYCAST = {"class": "tactile_loc.plugins.renderers.raycast:RaycastRenderer"}
+SHAPES = StageKey("shapes", 1, {"grid": GRID.digest, "renderer": RAYCAST})
+PIXEL = {"class": "tactile_loc.plugins.encoders.pixel:PixelEncoder"}
+ENCODED = {"shapes": SHAPES.digest, "encoder": PIXEL, "trained": ""}
+BANKS = [StageKey("bank", 1, {**ENCODED, "press_depth_m": press_m}) for press_m in (0.001, 0.002)]
 
 
 @pytest.fixture
@@ -197,15 +193,11 @@ def test_pruning_removes_entries_that_meet_all_conditions(ask, place, words, rem
         (["--older-than", "-3d"], ["-3d"]),
         (["--older-than", "9" * 30 + "d"], ["--older-than", "9" * 30 + "d"]),
         (["--keep-newest", 0], ["--keep-newest"]),
+        (["--all"], ["--yes", "--dry-run"]),
     ],
 )
-def test_invalid_pruning_conditions_are_refused(ask, place, words, mentioned):
+def test_invalid_conditions_and_a_missing_confirmation_are_refused(ask, place, words, mentioned):
     assert_refused(ask("prune", *words), *mentioned)
-    assert held(place) == ALL
-
-
-def test_pruning_without_confirmation_is_refused(ask, place):
-    assert_refused(ask("prune", "--all"), "--yes", "--dry-run")
     assert held(place) == ALL
 
 
@@ -258,16 +250,10 @@ def _free_at_first() -> Callable:
 
 
 def test_ages_are_parsed_and_written():
-    assert [parse_age(t).total_seconds() for t in ("90s", "1.5h", "2d", "1w", " 3M ")] == [
-        90,
-        5400,
-        172800,
-        604800,
-        180,
-    ]
+    for text, seconds in {"90s": 90, "1.5h": 5400, "2d": 172800, "1w": 604800, " 3M ": 180}.items():
+        assert parse_age(text).total_seconds() == seconds
     for text in ("", "d", "3", "3y", "-1d", "nan d"):
         with pytest.raises(ConfigError, match=naming(repr(text), "--older-than", "30d")):
             parse_age(text)
-    assert [write_age(s) for s in (-1, 0, 119, 120, 3 * 3600, 47 * 3600, 49 * 3600)] == [
-        "0 s", "0 s", "119 s", "2 min", "3 h", "47 h", "2 d",
-    ]  # fmt: skip
+    written = {-1: "0 s", 0: "0 s", 119: "119 s", 120: "2 min", 3 * 3600: "3 h", 47 * 3600: "47 h", 49 * 3600: "2 d"}
+    assert {seconds: write_age(seconds) for seconds in written} == written

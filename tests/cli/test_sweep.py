@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cli_helpers import FLAT_SENSOR, assert_refused, command, hear_ctrl_c, succeed, write_box
+from cli_helpers import FLAT_SENSOR, assert_refused, command, start_process, succeed, write_box
 from message_helpers import missing
 
 psutil = pytest.importorskip("psutil")  # a dependency of distributed
@@ -27,6 +27,7 @@ shape_px = 32
 temperature = 0.01
 option.grid.spacing_mm = 8
 """
+COLUMNS = ["object", "sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser", "noise", "seed", "state"]
 FILES = {"sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png", "effects.png", "rows", "workers.log"}
 
 
@@ -60,49 +61,20 @@ def test_a_plan_is_evaluated_once_and_written(cli, plan, tmp_path):
 
 
 def test_the_command_line_overrides_the_plan(cli, plan):
-    words = [
-        "--object",
-        "pin",
-        "--refiner",
-        "none,render",
-        "--refiner",
-        "icp",
-        "--seed",
-        "0,1",
-        "-o",
-        "encoder.cells=9,12",
-    ]
-    done = succeed(cli("sweep", "sweep.toml", *words, "--noise", "none,mild", "--dry-run", "--json"))
+    words = ["--object", "pin", "--refiner", "none,render", "--refiner", "icp", "--seed", "0,1", "--noise", "none,mild"]
+    done = succeed(cli("sweep", "sweep.toml", *words, "-o", "encoder.cells=9,12", "--dry-run", "--json"))
     report = json.loads(done.stdout)
     assert (len(report["combinations"]), report["count"]) == (3 * 2 * 2 * 2, 2)
-    assert report["combinations"][0] == {
-        "object": "pin", "sensor": "file", "renderer": "heightmap", "grid": "face", "encoder": "pixel cells=9",
-        "matcher": "dense", "refiner": "none", "fuser": "product", "noise": "none", "seed": "0", "state": "to do",
-    }  # fmt: skip
+    first = ["pin", "file", "heightmap", "face", "pixel cells=9", "dense", "none", "product", "none", "0", "to do"]
+    assert report["combinations"][0] == dict(zip(COLUMNS, first, strict=True))
     assert {one["refiner"] for one in report["combinations"]} == {"none", "render", "icp"}
 
 
 def test_a_dry_run_lists_combinations_without_running_them(cli, plan, tmp_path):
     done = succeed(cli("sweep", "sweep.toml", "--dry-run", "--store", "fresh"))
     lines = done.stdout.splitlines()
-    assert lines[0].split() == [
-        "object", "sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser", "noise", "seed",
-        "state",
-    ]  # fmt: skip
-    assert lines[1].split() == [
-        "pin",
-        "file",
-        "heightmap",
-        "face",
-        "pixel",
-        "dense",
-        "none",
-        "product",
-        "strong",
-        "0",
-        "to",
-        "do",
-    ]
+    assert lines[0].split() == COLUMNS
+    assert " ".join(lines[1].split()) == "pin file heightmap face pixel dense none product strong 0 to do"
     assert any(re.match(r"4 combinations\b.*\b2 touches\b.*\b4\b", line) for line in lines)
     built = "grid 2, shapes 2, encoder 0, bank 2, temperature 0, evaluation 4"
     assert any(line.endswith(built) for line in lines)
@@ -144,10 +116,16 @@ def test_bad_input_is_one_sentence_before_anything_runs(cli, tmp_path, words, me
     assert not (tmp_path / "sweep").exists()
 
 
-@pytest.mark.parametrize(("words", "mentioned"), [
-    (["--seed", "-1"], "--seed cannot be -1"), (["--seed", "x"], "--seed cannot be 'x'"),
-    (["--refiner", "ipc"], "'ipc'"), (["--noise", "loud"], "'loud'"), (["-o", "grid.spacing=3"], "'spacing'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "mentioned"),
+    [
+        (["--seed", "-1"], "--seed cannot be -1"),
+        (["--seed", "x"], "--seed cannot be 'x'"),
+        (["--refiner", "ipc"], "'ipc'"),
+        (["--noise", "loud"], "'loud'"),
+        (["-o", "grid.spacing=3"], "'spacing'"),
+    ],
+)
 def test_an_error_in_an_option_beside_a_plan_does_not_name_the_file(cli, plan, words, mentioned):
     done = cli("sweep", plan.name, *words, "--dry-run")
     assert_refused(done, mentioned)
@@ -181,11 +159,7 @@ EIGHT = ["sweep", "sweep.toml", "--encoder", "pixel", "-o", "encoder.cells=9,12"
 def start(tmp_path: Path, store: Path) -> subprocess.Popen[str]:
     """Start a sweep that reacts to Ctrl-C as in a terminal."""
     line = command(*EIGHT, "--workers", "2")
-    return subprocess.Popen(
-        line, cwd=tmp_path, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "TACTILE_LOC_STORE": str(store)},
-        preexec_fn=hear_ctrl_c, start_new_session=True,
-    )  # fmt: skip
+    return start_process(line, tmp_path, store, start_new_session=True)
 
 
 def workers_of(process: subprocess.Popen[str]) -> list[int]:
