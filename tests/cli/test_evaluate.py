@@ -12,6 +12,7 @@ from cli_helpers import TINY, assert_refused, succeed
 from PIL import Image
 
 SEARCH = ["-o", "grid.directions=300", "-o", "temperature=0.05"]
+OWN = ["--object", "pin", *TINY, "--refiner", "none"]
 FILES = {"recall.json", "recall.csv", "recall.md", "recall.png", "bop"}
 
 
@@ -24,15 +25,13 @@ def test_results_of_noises_and_numbers_of_touches_are_written(cli, tmp_path):
     assert {path.name for path in out.iterdir()} == FILES
     record = json.loads((out / "recall.json").read_text())
     assert record["protocol"]["together"] == [1, 2]
-    assert [(run["noise"], run["seed"]) for run in record["runs"]] == [
-        ("none", 2), ("none", 3), ("mild", 2), ("mild", 3)
-    ]  # fmt: skip
+    runs = [("none", 2), ("none", 3), ("mild", 2), ("mild", 3)]
+    assert [(run["noise"], run["seed"]) for run in record["runs"]] == runs
     assert record["runs"][0]["configuration"]["grid"]["name"] == "whole"
     with (out / "recall.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [(row["noise"], row["touches"], row["examples"]) for row in rows] == [
-        ("none", "1", "4"), ("none", "2", "4"), ("mild", "1", "4"), ("mild", "2", "4")
-    ]  # fmt: skip
+    groups = [("none", "1", "4"), ("none", "2", "4"), ("mild", "1", "4"), ("mild", "2", "4")]
+    assert [(row["noise"], row["touches"], row["examples"]) for row in rows] == groups
     with Image.open(out / "recall.png") as picture:
         assert min(picture.size) > 300
     assert len(list((out / "bop").glob("*.csv"))) == 2
@@ -46,9 +45,8 @@ def test_results_of_noises_and_numbers_of_touches_are_written(cli, tmp_path):
 def test_touches_of_simulate_are_evaluated(cli, tmp_path):
     assert cli("simulate", "--object", "pin", "--count", 3, "--out", "touches", *TINY).exit_code == 0
     (tmp_path / "touches" / "touch-0001.npz").write_bytes(b"")
-    words = ["--object", "pin", *TINY, "--refiner", "none"]
     assert_refused(cli("evaluate", "--touches", "touches", "--out", "out"), "--object")
-    done = succeed(cli("evaluate", *words, "--touches", "touches", "--out", "out"))
+    done = succeed(cli("evaluate", *OWN, "--touches", "touches", "--out", "out"))
     assert "touch-0001.npz" in done.stdout
     record = json.loads((tmp_path / "out" / "recall.json").read_text())
     (run,) = record["runs"]
@@ -63,8 +61,8 @@ def test_an_evaluation_without_a_readable_touch_is_refused(cli, tmp_path):
     """The touches are of another sensor, so their size does not fit."""
     simulated = ["simulate", "--object", "pin", "--sensor", "digit", "--count", 2, "--out", "touches", *TINY]
     assert cli(*simulated).exit_code == 0
-    words = ["--object", "pin", *TINY, "--refiner", "none", "--touches", "touches", "--out", "out"]
-    assert_refused(cli("evaluate", *words), "2 examples", "touch-0000.npz", "320 x 240")
+    done = cli("evaluate", *OWN, "--touches", "touches", "--out", "out")
+    assert_refused(done, "2 examples", "touch-0000.npz", "320 x 240")
     assert not (tmp_path / "out").exists()
 
 
@@ -79,36 +77,29 @@ def test_a_table_of_own_touches_is_evaluated_together(cli, tmp_path):
         numbers = [*(1e3 * np.array(T)[:3, 3]), *rotation_to_quaternion(np.array(T)[:3, :3])]
         rows.append(f"{name}.npz,{','.join(map(str, numbers))},one")
     Path("touches/poses.csv").write_text("\n".join([header, *rows]))
-    words = ["--object", "pin", *TINY, "--refiner", "none", "--touches", "touches/poses.csv", "--out", "out"]
+    words = [*OWN, "--touches", "touches/poses.csv", "--out", "out"]
     succeed(cli("evaluate", *words))
     record = json.loads((tmp_path / "out" / "recall.json").read_text())
     assert [result["touches"] for result in record["summary"]] == [1, 2]
     assert_refused(cli("evaluate", *words, "--together", "3"), "3 touches")
 
 
-def test_json_has_the_summary_without_single_examples(cli, tmp_path):
-    words = ["--object", "pin", *TINY, "--refiner", "none", "--count", 1, "--together", "1", "--noise", "none"]
-    done = succeed(cli("evaluate", *words, "--json"))
-    record = json.loads(done.stdout)
-    assert record["summary"][0]["examples"] == 1
-    assert "examples" not in record
-
-
-def test_an_interruption_is_one_line_and_resumes(cli, tmp_path, monkeypatch):
+def test_an_interruption_is_one_line_and_resumes_and_json_has_no_single_examples(cli, tmp_path, monkeypatch):
     from tactile_loc.evaluation.recall import evaluation
 
     def interrupt(*arguments):
         raise KeyboardInterrupt
 
-    line = ["evaluate", "--object", "pin", *TINY, "--refiner", "none", "--count", 1, "--together", "1",
-            "--noise", "none", "--seed", 77]  # fmt: skip
+    line = ["evaluate", *OWN, "--count", 1, "--together", "1", "--noise", "none", "--seed", 77]
     with monkeypatch.context() as patched:
         patched.setattr(evaluation._ExampleLocator, "_locate", interrupt)
         stopped = cli(*line)
     assert stopped.exit_code == 130
     assert stopped.stderr.startswith("interrupted: ")
     assert not (tmp_path / "evaluation" / "recall.json").exists()
-    assert cli(*line).exit_code == 0
+    said = json.loads(succeed(cli(*line, "--json")).stdout)
+    assert said["summary"][0]["examples"] == 1
+    assert "examples" not in said
 
 
 @pytest.mark.parametrize(

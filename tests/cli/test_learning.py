@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from cli_helpers import FLAT_SENSOR, TINY, assert_refused, succeed
+from cli_helpers import FLAT_SENSOR, SURE, TINY, assert_refused, succeed
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
@@ -22,7 +22,6 @@ OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
 MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"encoder.{option}"))]
 PIXEL = ["--object", "pin", *TINY, "--sensor", "flat.toml"]
 PIN = [*PIXEL, *MOCO]
-SURE = ["-o", "temperature=0.05"]  # no temperature is fitted
 EVALUATE = ["evaluate", "--paper", *PIN, *SURE, "--encoder", "pixel", "--refiner", "none", "--count", 2]
 
 
@@ -55,11 +54,8 @@ def table(cli, folder: str) -> str:
     return (Path(f"out-{folder}") / "results.csv").read_text()
 
 
-@pytest.mark.slow
-def test_an_interrupted_training_gives_the_same_table(cli, monkeypatch):
-    whole = table(cli, "whole")
-    assert {line.split(",")[1] for line in whole.splitlines()[1:]} == {"moco", "pixel"}
-
+def interrupt_after_a_checkpoint(cli, monkeypatch, *words: object) -> None:
+    """Run a command whose training is interrupted after its first checkpoint."""
     save = training.Trainer._checkpoint
 
     def save_and_stop(self):
@@ -68,7 +64,15 @@ def test_an_interrupted_training_gives_the_same_table(cli, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(training.Trainer, "_checkpoint", save_and_stop)
-        assert cli(*EVALUATE, "--store", "stopped", "--out", "out-stopped").exit_code == 130
+        assert cli(*words).exit_code == 130
+
+
+@pytest.mark.slow
+def test_an_interrupted_training_gives_the_same_table(cli, monkeypatch):
+    whole = table(cli, "whole")
+    assert {line.split(",")[1] for line in whole.splitlines()[1:]} == {"moco", "pixel"}
+
+    interrupt_after_a_checkpoint(cli, monkeypatch, *EVALUATE, "--store", "stopped", "--out", "out-stopped")
     assert not Path("out-stopped/results.csv").exists()
     steps = []
     step = training.Trainer._step
@@ -150,16 +154,8 @@ def test_build_trains_the_encoder_of_a_whole_object(cli):
 
 @pytest.mark.slow
 def test_an_interrupted_training_on_places_is_resumed(cli, monkeypatch):
-    save = training.Trainer._checkpoint
-
-    def save_and_stop(self):
-        save(self)
-        raise KeyboardInterrupt
-
     words = ["build", *WHOLE, "--store", "fresh"]
-    with monkeypatch.context() as patched:
-        patched.setattr(training.Trainer, "_checkpoint", save_and_stop)
-        assert cli(*words).exit_code == 130
+    interrupt_after_a_checkpoint(cli, monkeypatch, *words)
     epochs = []
     train = training.Trainer._train_epoch
     monkeypatch.setattr(training.Trainer, "_train_epoch", lambda self, *a: epochs.append(self.epoch) or train(self, *a))

@@ -127,35 +127,30 @@ def test_the_output_lists_the_files_and_the_next_commands(cli: Cli, tmp_path):
 def test_the_package_is_written_to_the_given_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     written = new_plugin("matcher", "soft", Path("deep down/here"))
-    assert {k: v for k, v in written.items() if k != "files"} == {
-        "slot": "matcher", "name": "soft", "folder": "deep down/here",
-    }  # fmt: skip
+    assert (written["slot"], written["name"], written["folder"]) == ("matcher", "soft", "deep down/here")
+    assert written.keys() == {"slot", "name", "folder", "files"}
     assert all((tmp_path / "deep down" / "here" / file).is_file() for file in written["files"])
     assert [p.name for p in (tmp_path / "deep down").iterdir()] == ["here"]
 
 
 @pytest.mark.parametrize(
-    "name", ["My-refiner", "my_refiner", "-my", "my-", "my--own", "3d", "größer", "a b", "", "../x"]
+    ("slot", "name", "mentioned"),
+    [
+        *(("refiner", name, [repr(name), "hyphens"]) for name in ("My-refiner", "my_refiner", "-my", "my-", "my--own")),
+        *(("refiner", name, [repr(name), "hyphens"]) for name in ("3d", "größer", "a b", "", "../x")),
+        ("refiner", "x" * (LONGEST + 1), [str(LONGEST)]),
+        ("refiner", "icp", ["'icp'", "tactile-loc"]),
+        ("refiner", "cli", ["tactile_loc_cli"]),
+        ("refinr", "mine", ["'refinr'", "'refiner'"]),
+    ],
 )
-def test_an_invalid_name_is_refused(cli, tmp_path, name):
-    assert_refused(cli("new-plugin", "refiner", "--", name), repr(name), "hyphens")
+def test_an_invalid_or_used_name_and_an_unknown_slot_are_refused(cli, tmp_path, slot, name, mentioned):
+    assert_refused(cli("new-plugin", slot, "--", name), *mentioned)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_name_that_is_too_long_is_refused(cli):
-    assert_refused(cli("new-plugin", "refiner", "x" * (LONGEST + 1)), str(LONGEST))
-
-
-def test_a_name_already_in_use_is_refused(cli, tmp_path):
-    assert_refused(cli("new-plugin", "refiner", "icp"), "'icp'", "tactile-loc")
-    assert_refused(cli("new-plugin", "refiner", "cli"), "tactile_loc_cli")
-    assert list(tmp_path.iterdir()) == []
-    assert cli("new-plugin", "encoder", "icp").exit_code == 0, "a name must be unique only within its slot"
-
-
-def test_an_unknown_slot_is_refused(cli, tmp_path):
-    assert_refused(cli("new-plugin", "refinr", "mine"), "'refinr'", "'refiner'")
-    assert list(tmp_path.iterdir()) == []
+def test_a_name_must_be_unique_only_within_its_slot(cli):
+    assert cli("new-plugin", "encoder", "icp").exit_code == 0
 
 
 def test_a_kind_of_a_missing_annex_is_named_with_the_command_that_installs_it(cli, monkeypatch):

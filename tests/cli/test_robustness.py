@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, hear_ctrl_c, succeed
+from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, start_process, succeed
 
 # `tactile-loc build` with small shards; it prints a line and waits at the point that its first argument names
 BUILD = """
@@ -42,11 +41,7 @@ main()
 
 def start(tmp_path: Path, store: Path, stop: str = "nowhere") -> subprocess.Popen[str]:
     """Start a build that reacts to Ctrl-C as in a terminal."""
-    return subprocess.Popen(
-        [sys.executable, "-c", BUILD, stop, "build", *TINY], cwd=tmp_path, text=True,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_ctrl_c,
-        env={**os.environ, "TACTILE_LOC_STORE": str(store)},
-    )  # fmt: skip
+    return start_process([sys.executable, "-c", BUILD, stop, "build", *TINY], tmp_path, store, stdin=subprocess.PIPE)
 
 
 def ended(process: subprocess.Popen[str], code: int) -> tuple[str, str]:

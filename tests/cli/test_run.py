@@ -219,7 +219,7 @@ def test_the_configuration_in_the_result_gives_the_same_result(cli, result, tmp_
 
 
 def test_another_seed_gives_another_simulated_touch(cli, result):
-    """The test above shows that the same seed gives the same touch."""
+    """The test of the stored configuration compares the touch of an equal seed."""
     succeed(cli("run", *TINY, "--seed", 1, "--out", "other"))
     other = json.loads(Path("other/result.json").read_text())
     assert other["touch"]["T_sensor_object"] != result["touch"]["T_sensor_object"]

@@ -14,30 +14,30 @@ from message_helpers import missing
 OBJECT = ["--object", "pin", *TINY]
 
 
-@pytest.fixture
-def listed(cli):
-    """Write a list of two simulated touches of a fixed object, and return their poses."""
-    assert cli("simulate", *OBJECT, "--count", 2, "--seed", 3, "--out", "touches").exit_code == 0
+def write_list(cli, count: int, seed: int, moved: int | None = None) -> dict[str, np.ndarray]:
+    """Write a list of simulated touches, with the sensor pose of one wrong by 8 mm; return their poses by name."""
+    assert cli("simulate", *OBJECT, "--count", count, "--seed", seed, "--out", "touches").exit_code == 0
     poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
     text = ""
-    for name, T in poses.items():
-        text += f'[[touch]]\npath = "touches/{name}.npz"\nT_base_sensor = {np.linalg.inv(T).tolist()}\n'
+    for number, (name, T) in enumerate(poses.items()):
+        T_base_sensor = np.linalg.inv(T)
+        if number == moved:
+            T_base_sensor[:3, 3] += T_base_sensor[:3, 0] * 8e-3
+        text += f'[[touch]]\npath = "touches/{name}.npz"\nT_base_sensor = {T_base_sensor.tolist()}\n'
     Path("touches.toml").write_text(text)
     return {name: np.array(T) for name, T in poses.items()}
 
 
 @pytest.fixture
+def listed(cli):
+    """Write a list of two simulated touches of a fixed object, and return their poses."""
+    return write_list(cli, count=2, seed=3)
+
+
+@pytest.fixture
 def one_moved(cli):
     """Write a list of four touches with the sensor pose of the third wrong by 8 mm; return the name of the third."""
-    assert cli("simulate", *OBJECT, "--count", 4, "--seed", 1, "--out", "touches").exit_code == 0
-    poses = json.loads(Path("touches/poses.json").read_text())["T_sensor_object"]
-    text, names = "", list(poses)
-    for name, T in poses.items():
-        T_base_sensor = np.linalg.inv(T)
-        if name == names[2]:
-            T_base_sensor[:3, 3] += T_base_sensor[:3, 0] * 8e-3
-        text += f'[[touch]]\npath = "touches/{name}.npz"\nT_base_sensor = {T_base_sensor.tolist()}\n'
-    Path("touches.toml").write_text(text)
+    names = list(write_list(cli, count=4, seed=1, moved=2))
     return f"{names[2]}.npz"
 
 
