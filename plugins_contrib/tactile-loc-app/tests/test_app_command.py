@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
 from urllib.request import urlopen
 
 import pytest
-from cli_helpers import HANGS_S, assert_refused, command, hear_ctrl_c
+from cli_helpers import HANGS_S, assert_refused, command, start_process
 
 pytest.importorskip("viser")
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
-def test_the_page_is_served_until_a_signal_and_leaves_no_files(store_folder, tmp_path, ending):
-    process = subprocess.Popen(
-        command("app", "--object", "pin", "--port", "0"),
-        env={**os.environ, "TACTILE_LOC_STORE": str(store_folder), "TMPDIR": str(tmp_path)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=hear_ctrl_c,
-    )
+def test_the_page_is_served_until_a_signal_and_leaves_no_files(store_folder, tmp_path, monkeypatch, ending):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    process = start_process(command("app", "--object", "pin", "--port", "0"), tmp_path, store_folder)
     try:
         url = next(word for word in process.stdout.readline().split() if word.startswith("http"))
         assert url.startswith("http://127.0.0.1:")

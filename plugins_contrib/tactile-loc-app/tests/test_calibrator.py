@@ -88,24 +88,14 @@ def test_the_photo_without_contact_has_an_own_name(filled):
 @pytest.mark.parametrize(
     ("name", "diameter_mm", "scale"),
     [
-        ("", 6.0, 0.2),
-        ("../mine", 6.0, 0.2),
-        (".hidden", 6.0, 0.2),
-        ("mine", 0.0, 0.2),
-        ("mine", 6.0, -1.0),
-        ("mine", 0.8, 0.2),
-        ("a\0b", 6.0, 0.2),
+        *((name, 6.0, 0.2) for name in ("", "../mine", ".hidden", "a\0b")),
+        *(("mine", *lengths) for lengths in ((0.0, 0.2), (6.0, -1.0), (0.8, 0.2))),
     ],
 )
 def test_impossible_names_and_lengths_are_refused(filled, name, diameter_mm, scale):
     with pytest.raises(TactileLocError):
         filled.calibrate(name, diameter_mm, scale)
     assert filled.made is None
-
-
-def test_photos_are_needed(calibrator):
-    with pytest.raises(AppError):
-        calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
 
 
 @pytest.mark.slow
@@ -117,10 +107,12 @@ def test_a_photo_without_contact_that_shows_a_press_is_refused(calibrator):
         calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
 
 
-def test_a_calibration_ends_when_its_visitor_leaves(filled):
+def test_a_calibration_needs_photos_and_ends_when_its_visitor_leaves(filled, tmp_path):
+    empty = Calibrator(tmp_path / "empty", StageStore(tmp_path / "store"), TINY)
     filled.stop()
-    with pytest.raises(AppError):
-        filled.calibrate("mine", DIAMETER_MM, MM_PER_PX)
+    for one in (empty, filled):
+        with pytest.raises(AppError):
+            one.calibrate("mine", DIAMETER_MM, MM_PER_PX)
 
 
 def test_progress_is_shown_as_a_share():

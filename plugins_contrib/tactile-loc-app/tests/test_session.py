@@ -135,15 +135,14 @@ def test_a_new_sensor_removes_the_touches(session):
     assert session.press_depth_m <= session.scene.geometry.max_depth_m
 
 
-def test_an_uploaded_mesh_is_read_in_its_unit(session):
+def test_an_uploaded_mesh_is_read_in_its_unit_and_again_in_another(session):
+    assert not session.choose_units("m"), "a demo object has its own unit"
+    with pytest.raises(ObjectError):
+        session.upload_object("part.stl", b"this is no mesh")
+    assert session.object.name == "pin"
     session.upload_object("block.stl", make_block(), "mm")
     np.testing.assert_allclose(session.object.mesh.extents_m, [0.03, 0.02, 0.01], atol=1e-9)
     assert session.press(place_above(session.object, session.scene), DEPTH_M).touches
-
-
-def test_another_unit_reads_an_uploaded_mesh_again(session):
-    assert not session.choose_units("m"), "a demo object has its own unit"
-    session.upload_object("block.stl", make_block(), "mm")
     session.press(AT_CORNER @ session.T_base_sensor, DEPTH_M)
     session.add_touch()
     assert not session.choose_units("mm")
@@ -153,12 +152,6 @@ def test_another_unit_reads_an_uploaded_mesh_again(session):
     assert session.touches == ()
 
 
-def test_a_damaged_upload_leaves_the_object(session):
-    with pytest.raises(ObjectError):
-        session.upload_object("part.stl", b"this is no mesh")
-    assert session.object.name == "pin"
-
-
 def test_an_uploaded_touch_is_added_with_its_pose(session, tmp_path):
     session.press(session.T_base_sensor, DEPTH_M)
     touch = session.add_touch()
@@ -166,25 +159,6 @@ def test_an_uploaded_touch_is_added_with_its_pose(session, tmp_path):
     (read,) = session.read_touch_file("mine.npz", content)
     assert (read.name, len(session.touches)) == ("mine.npz", 2)
     np.testing.assert_allclose(read.T_base_sensor, touch.T_base_sensor)
-
-
-def test_a_list_places_the_touches_uploaded_before(session):
-    depth = np.full(session.scene.geometry.shape, 0.8, np.float32)
-    depth[50:90, 60:120] = 0.1
-    array = session.inbox / "saved.npy"
-    np.save(array, depth)
-    content = array.read_bytes()
-    session.read_touch_file("a.npy", content, "mm", "distance")
-    text = '[[touch]]\npath = "a.npy"\nunit = "mm"\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n'
-    (read,) = session.read_touch_file("touches.toml", text.encode())
-    assert session.touches == (read,)
-    np.testing.assert_allclose(read.T_base_sensor[:3, 3], [1e-3, 2e-3, 3e-3])
-
-
-@pytest.mark.parametrize("entry", ['path = "/etc/hostname"', 'path = "../a.npy"', 'path = "a.npy"\nsensor = "x/y"'])
-def test_a_list_names_only_uploaded_files(session, entry):
-    with pytest.raises(ConfigError):
-        session.read_touch_file("touches.toml", f"[[touch]]\n{entry}\n".encode())
 
 
 def save_depths(session) -> bytes:
@@ -198,13 +172,24 @@ def save_depths(session) -> bytes:
 LISTED = '[[touch]]\npath = "parts/a.npy"\nunit = "mm"\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\n'
 
 
-def test_a_list_and_its_files_come_in_one_archive(session):
+def test_a_list_places_the_touches_uploaded_before_or_those_of_its_archive(session):
+    session.read_touch_file("a.npy", save_depths(session), "mm", "distance")
+    (read,) = session.read_touch_file("touches.toml", LISTED.replace("parts/", "").encode())
+    assert session.touches == (read,)
+    np.testing.assert_allclose(read.T_base_sensor[:3, 3], [1e-3, 2e-3, 3e-3])
+    session.remove_touch(0)
     content = pack({"mine/touches.toml": LISTED.encode(), "mine/parts/a.npy": save_depths(session)})
     (read,) = session.read_touch_file("mine.zip", content)
     assert session.touches == (read,)
     np.testing.assert_allclose(read.T_base_sensor[:3, 3], [1e-3, 2e-3, 3e-3])
     assert session.read_touch_file("again.zip", content)
     assert len(session.touches) == 1
+
+
+@pytest.mark.parametrize("entry", ['path = "/etc/hostname"', 'path = "../a.npy"', 'path = "a.npy"\nsensor = "x/y"'])
+def test_a_list_names_only_uploaded_files(session, entry):
+    with pytest.raises(ConfigError):
+        session.read_touch_file("touches.toml", f"[[touch]]\n{entry}\n".encode())
 
 
 @pytest.mark.parametrize(
@@ -253,11 +238,7 @@ def test_a_closed_session_leaves_no_files_and_no_localizer(localizers):
 
 
 def test_a_prior_needs_the_pose_of_the_sensor(session):
-    depth = np.full(session.scene.geometry.shape, 0.8, np.float32)
-    depth[50:90, 60:120] = 0.1
-    array = session.inbox / "saved.npy"
-    np.save(array, depth)
-    session.read_touch_file("a.npy", array.read_bytes(), "mm", "distance")
+    session.read_touch_file("a.npy", save_depths(session), "mm", "distance")
     session.set_prior(np.eye(4), 0.005, 0.2)
     with pytest.raises(TouchError):
         session.locate()
