@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from bench_fakes import offer_fakes
-from bench_parts import BOX_CORNERS_M, BOX_FACES
-from cli_helpers import HANGS_S, assert_refused, command, succeed
+from cli_helpers import HANGS_S, assert_refused, command, start_process, succeed
 from message_helpers import missing
 from tactile_loc.evaluation.text_tables import read_parquet
 
@@ -35,30 +33,14 @@ label = "photos"
 [[method]]
 name = "guess"
 """
-FILES = {
-    "benchmark.json",
-    "benchmark.md",
-    "bop",
-    "leaderboard.json",
-    "report.html",
-    "rows",
-    "rows.parquet",
-    "workers.log",
-}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def fakes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with offer_fakes(tmp_path_factory.mktemp("fakes") / "site"):
-        yield
+TABLES = {"benchmark.json", "benchmark.md", "bop", "leaderboard.json", "report.html", "rows.parquet"}
+FILES = {*TABLES, "rows", "workers.log"}
 
 
 @pytest.fixture(autouse=True)
-def suite(tmp_path: Path) -> Path:
+def suite(tmp_path: Path, box_file: Path) -> Path:
     """A suite of one box, in the working folder."""
-    corners = [f"v {x} {y} {z}" for x, y, z in 1e3 * BOX_CORNERS_M]
-    faces = ["f {} {} {}".format(*(k + 1 for k in face)) for face in BOX_FACES]
-    (tmp_path / "brick.obj").write_text("\n".join([*corners, *faces]) + "\n")
+    shutil.copy(box_file, tmp_path)
     path = tmp_path / "tiny.toml"
     path.write_text(SUITE)
     return path
@@ -77,7 +59,7 @@ def test_a_suite_is_run_once_and_written(cli, tmp_path):
     assert [line.split()[:3] for line in lines[1:3]] == [["sketch", "1", "guess"], ["sketch", "2", "guess"]]
     assert any(line.startswith("left out: photos: ") for line in lines)
     assert any(line.startswith("1 job, 0 done now") for line in lines)
-    for name in FILES - {"rows", "workers.log"}:
+    for name in TABLES:
         assert name in lines[-1]
     page = (tmp_path / "benchmark" / "report.html").read_text()
     (tmp_path / "benchmark" / "report.html").unlink()
@@ -136,15 +118,7 @@ def test_bad_input_is_one_sentence_before_anything_runs(cli, tmp_path, words, me
 def start(tmp_path: Path, out: str) -> subprocess.Popen[str]:
     """Start a benchmark with four jobs of some seconds."""
     line = command("benchmark", "--suite", "tiny.toml", "--workers", "1", "--out", out, "--source", "sketch")
-    return subprocess.Popen(
-        line,
-        cwd=tmp_path,
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env={**os.environ, "TACTILE_LOC_STORE": str(tmp_path / "store")},
-        start_new_session=True,
-    )
+    return start_process(line, tmp_path, tmp_path / "store", start_new_session=True)
 
 
 def read_table(folder: Path) -> list[dict[str, Any]]:

@@ -75,7 +75,7 @@ def write_rival(folder: Path, share: float, **changes: object) -> Path:
     return path
 
 
-def test_a_better_rival_is_bold_and_listed_as_a_loss(standings, tmp_path):
+def test_a_better_rival_is_bold_and_listed_as_a_loss_and_a_worse_one_is_not(standings, tmp_path):
     rival = list(read_standings(write_rival(tmp_path, 1.0)))
     text = leaderboard.format_page([*standings, *rival])
     losses = text.split("## Suite")[0]
@@ -84,11 +84,8 @@ def test_a_better_rival_is_bold_and_listed_as_a_loss(standings, tmp_path):
     assert "**100 % (100 to 100)**" in text
     assert "Rival et al." in text
     assert len(re.findall(r"^### ", text, re.MULTILINE)) == len({one.group.source for one in standings})
-
-
-def test_a_worse_rival_is_no_loss(standings, tmp_path):
-    rival = list(read_standings(write_rival(tmp_path, 0.0)))
-    assert "| rival |" not in leaderboard.format_page([*standings, *rival]).split("## Suite")[0]
+    worse = list(read_standings(write_rival(tmp_path, 0.0)))
+    assert "| rival |" not in leaderboard.format_page([*standings, *worse]).split("## Suite")[0]
 
 
 def test_results_of_another_protocol_have_a_table_of_their_own(standings, tmp_path):

@@ -44,14 +44,10 @@ def test_an_entry_has_the_options_of_its_table(write):
     assert (method.name, method.label, method.options) == ("guess", "guess", {})
 
 
-def test_objects_are_demo_objects_or_files(write, tmp_path, monkeypatch):
+def test_objects_are_demo_objects_files_a_split_or_in_the_data_folder(write, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pin, own = Suite.from_toml(write(SMALL)).objects
-    assert pin.path == "pin"
-    assert own.path == str(tmp_path / "own.stl")
-
-
-def test_objects_may_be_a_split_or_in_the_data_folder(write, tmp_path):
+    assert (pin.path, own.path) == ("pin", str(tmp_path / "own.stl"))
     named = SMALL.replace('["pin", "own.stl"]', '"quick"')
     assert len(Suite.from_toml(write(named)).objects) == len(read_split("quick"))
     assert all(Path(config.path).is_file() for config in Suite.from_toml(write(named)).objects)
@@ -93,20 +89,16 @@ def test_the_splits_hold_objects():
         ("refused = 0.1", "refused = 'many'", ("refused", "'many'", "sketch")),
         ('"guess"\n', '"guess"\n[[method]]\nname = "guess"\n', ("two", "'guess'", "label")),
         ('[[method]]\nname = "guess"\n', "", ("method",)),
+        ('"guess"', '"gues"', ("'gues'", "'guess'")),
     ],
 )
 def test_each_mistake_is_named_with_its_file(write, before, after, mentioned):
     assert before in SMALL
     path = write(SMALL.replace(before, after))
-    with pytest.raises(ConfigError, match=naming(path, *mentioned)) as raised:
+    kind = UnknownPluginError if after == '"gues"' else ConfigError
+    with pytest.raises(kind, match=naming(path, *mentioned)) as raised:
         Suite.from_toml(path)
     assert "\n" not in str(raised.value)
-
-
-def test_an_unknown_component_is_named_with_its_file(write):
-    path = write(SMALL.replace('"guess"', '"gues"'))
-    with pytest.raises(UnknownPluginError, match=naming(path, "'gues'", "'guess'")):
-        Suite.from_toml(path)
 
 
 def test_a_missing_library_is_no_mistake(write):
@@ -115,11 +107,7 @@ def test_a_missing_library_is_no_mistake(write):
 
 @pytest.mark.parametrize(
     ("name", "mentioned"),
-    [
-        ("quik", ("'quik'", "'quick'")),
-        ("none.toml", ("none.toml",)),
-        ("a/b", ("a/b",)),
-    ],
+    [("quik", ("'quik'", "'quick'")), ("none.toml", ("none.toml",)), ("a/b", ("a/b",))],
 )
 def test_a_missing_suite_is_named(name, mentioned, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -126,32 +126,23 @@ def test_a_full_disk_ends_the_build_and_leaves_the_library(library, sources, bui
     assert read_files(library.path) == read_files(built)
 
 
-@pytest.mark.parametrize("make", [lambda folder: folder / "none.stl", lambda folder: folder / "empty"])
-def test_missing_meshes_are_refused(tmp_path, make):
+def test_missing_meshes_and_two_of_one_name_are_refused(meshes, tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(TactileLocError, match="mesh"):
-        list_meshes([make(tmp_path)])
-
-
-def test_two_meshes_of_one_name_are_refused(meshes, tmp_path):
+    for missing in (tmp_path / "none.stl", tmp_path / "empty"):
+        with pytest.raises(TactileLocError, match="mesh"):
+            list_meshes([missing])
     shutil.copy(meshes / "part-0.stl", tmp_path)
     with pytest.raises(LibraryError, match=r"would both be called part-0; rename"):
         list_meshes([meshes, tmp_path])
     assert len(list_meshes([meshes, meshes / "part-0.stl"])) == 6
 
 
-def test_a_folder_of_other_files_is_refused(sources, tmp_path):
+def test_other_folders_grids_and_workers_are_refused(sources, tmp_path):
     (tmp_path / "thesis.txt").write_text("years of work")
     with pytest.raises(LibraryError, match=r"thesis.txt; choose a new folder"):
         build_library(tmp_path, sources, FEW)
-
-
-def test_a_grid_of_poses_is_refused(sources, tmp_path):
     with pytest.raises(ConfigError, match="choose the grid whole"):
         build_library(tmp_path / "out", sources, PlaceGrid("face", {}))
-
-
-def test_a_worker_with_other_software_or_meshes_is_refused(sources, tmp_path):
     job = PartJob("0" * 64, tmp_path, FEW)
     with pytest.raises(ConfigError, match="the worker's tactile-loc differs"):
         job.measure(sources[0], None)

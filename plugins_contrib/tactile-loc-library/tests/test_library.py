@@ -45,7 +45,7 @@ def test_shards_hold_the_vectors_and_placements_of_all_parts(built):
         assert np.array_equal(shard.placements[some], record.placements)
 
 
-def test_opening_reads_no_record(library):
+def test_opening_reads_no_record_and_a_missing_shard_damages_all_its_parts(library):
     for shard in library.shards:
         for path in shard.folder.iterdir():
             path.write_bytes(b"")
@@ -53,6 +53,11 @@ def test_opening_reads_no_record(library):
     assert again.names == NAMES
     with pytest.raises(LibraryError, match="library check"):
         again.read("part-0")
+    for path in library.shards[0].folder.iterdir():
+        path.unlink()
+    damage = Library.open(library.path).find_damage()
+    assert damage.parts == NAMES
+    assert len(damage.files) == 3
 
 
 def test_parts_are_added_replaced_and_removed(library):
@@ -73,23 +78,22 @@ def test_removing_an_added_part_gives_the_former_files(library, built):
     assert {name: now[name] for name in before} == before
 
 
-def test_a_missing_part_is_named(library):
+def test_a_missing_part_and_a_record_of_another_grid_are_refused(library):
     with pytest.raises(LibraryError, match=r"no part 'part-9' in .*Did you mean"):
         library.remove(["part-9"])
     with pytest.raises(LibraryError, match="no part 'nothing'"):
         library.read("nothing")
-
-
-def test_a_record_of_another_grid_is_refused(library):
     other = dataclasses.replace(library.read("part-0"), grid={"name": "whole", "options": {"directions": 9}})
     with pytest.raises(LibraryError, match="other places or vectors"):
         library.add([other])
 
 
-def test_shards_are_closed_before_they_grow_too_large(split):
+def test_shards_are_closed_before_they_grow_too_large_and_an_added_part_leaves_full_ones_alone(split):
     assert [len(shard.parts) for shard in split.shards] == [2, 2, 2]
     assert sorted(row.name for shard in split.shards for row in shard.parts) == list(NAMES)
     assert not split.find_damage()
+    more = split.add([rename(split.read("part-0"), "part-9")])
+    assert {shard.entry.name for shard in split.shards} < {shard.entry.name for shard in more.shards}
 
 
 def test_shards_of_removed_parts_are_written_again_when_they_are_half_empty(split):
@@ -98,11 +102,6 @@ def test_shards_of_removed_parts_are_written_again_when_they_are_half_empty(spli
     assert all(shard.entry.parts == len(shard.parts) for shard in left.shards)
     assert len(left.shards) == 2
     assert not left.find_damage()
-
-
-def test_an_added_part_leaves_full_shards_alone(split):
-    more = split.add([rename(split.read("part-0"), "part-9")])
-    assert {shard.entry.name for shard in split.shards} < {shard.entry.name for shard in more.shards}
 
 
 def test_a_reader_keeps_its_library_while_others_change_it(library):
@@ -238,14 +237,6 @@ def test_damage_is_found_in_the_part_that_has_it(library, name):
     with pytest.raises(LibraryError, match=r"part-5 .*checksum; .*library check"):
         again.read("part-5")
     again.read("part-4")
-
-
-def test_a_missing_shard_damages_all_its_parts(library):
-    for path in library.shards[0].folder.iterdir():
-        path.unlink()
-    damage = Library.open(library.path).find_damage()
-    assert damage.parts == NAMES
-    assert len(damage.files) == 3
 
 
 def test_a_damaged_part_can_be_removed_or_replaced(library):
