@@ -22,9 +22,7 @@ from tactile_loc.sensors.reading.surface import differentiate
 
 BALL_M, PITCH_M, PX = 3e-3, 1.2e-4, 140
 SCALE = 1 / PITCH_M
-GEOMETRY = SensorGeometry(
-    "orthographic", PX, PX, SCALE, SCALE, PX / 2, PX / 2, standoff_m=0.01, max_depth_m=1.5e-3
-)  # fmt: skip
+GEOMETRY = SensorGeometry("orthographic", PX, PX, SCALE, SCALE, PX / 2, PX / 2, standoff_m=0.01, max_depth_m=1.5e-3)
 UNTOUCHED = np.full((PX, PX, 3), 110, np.uint8)
 OTHERS = Gel(5e-3), Gel(4e-3, coating_m=4e-4)
 LAMPS = np.array([[1.0, 0.0], [-0.5, 0.87], [-0.5, -0.87]])  # directions of the red, green and blue lamps

@@ -24,9 +24,11 @@ def test_a_folder_becomes_a_sensor_with_its_errors(tmp_path):
     outcome = calibrate_folder(presses, presses / "sensor.toml", EstimatorRecipe(options=TINY), store=store)
     assert outcome.title == "1 of 7 presses were held out"
     assert [line.partition(":")[0] for line in outcome.list_errors()] == [
-        "surface angle in the contact", "indentation in the contact, up to a constant", "indentation in the contact",
+        "surface angle in the contact",
+        "indentation in the contact, up to a constant",
+        "indentation in the contact",
         "indentation outside the contact",
-    ]  # fmt: skip
+    ]
     assert any(fact.startswith("the gel is ") for fact in outcome.facts)
     written = read_calibration(outcome.write(tmp_path / "mine"))
     assert written.record["held_out"]["mean"] == outcome.mean_errors

@@ -78,8 +78,9 @@ def test_all_shards_exist_and_the_last_may_be_short(store):
 
 @pytest.mark.slow
 def test_the_seed_determines_the_presses(tmp_path):
-    one, same, other = (simulate_presses(sensor(), LAMPS, 8, s, StageStore(tmp_path / n)) for s, n in zip(
-        (1, 1, 2), "abc", strict=True))  # fmt: skip
+    one, same, other = (
+        simulate_presses(sensor(), LAMPS, 8, s, StageStore(tmp_path / n)) for s, n in zip((1, 1, 2), "abc", strict=True)
+    )
     assert np.array_equal(one.images[0], same.images[0])
     assert not np.array_equal(one.codes[0], other.codes[0])
 

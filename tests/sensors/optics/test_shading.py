@@ -46,9 +46,11 @@ def test_a_tilted_plane_has_lamberts_shade_at_any_pixel_size(geometry):
     assert slope_x == pytest.approx(0.3, abs=1e-4)
     assert slope_y == pytest.approx(-0.2, abs=1e-4)
     shade = {
-        "right": -0.3 * math.cos(ELEVATION), "left": 0.3 * math.cos(ELEVATION),
-        "below": 0.2 * math.cos(ELEVATION), "above": -0.2 * math.cos(ELEVATION),
-    }  # fmt: skip
+        "right": -0.3 * math.cos(ELEVATION),
+        "left": 0.3 * math.cos(ELEVATION),
+        "below": 0.2 * math.cos(ELEVATION),
+        "above": -0.2 * math.cos(ELEVATION),
+    }
     for side, sideways in shade.items():
         expected = 255 * 0.9 * (sideways + math.sin(ELEVATION)) / math.sqrt(1 + 0.3**2 + 0.2**2)
         assert rendered(tilted, geometry, lit(side)) == pytest.approx(expected, abs=0.6), side
@@ -129,10 +131,8 @@ def test_a_mirrored_touch_under_mirrored_lights_gives_a_mirrored_picture():
     optics = Optics((lamp("right", 30, 0.5, (1, 0, 0.2), distance=2.0), lamp("above", 50, 0.4, (0, 1, 0))), dome=0.2)
     mirrored = dataclasses.replace(
         optics,
-        lights=tuple(
-            dataclasses.replace(v, direction=(-v.direction[0], *v.direction[1:])) for v in optics.lights
-        ),
-    )  # fmt: skip
+        lights=tuple(dataclasses.replace(v, direction=(-v.direction[0], *v.direction[1:])) for v in optics.lights),
+    )
     picture = rendered(surface, geometry, optics)
     assert rendered(surface[:, :, ::-1], geometry, mirrored)[:, :, ::-1] == pytest.approx(picture, abs=1)
     assert np.abs(picture[:, :, ::-1].astype(int) - picture).max() > 50
