@@ -78,14 +78,11 @@ def test_deeper_presses_have_larger_circles():
     assert sorted(radii) == radii
 
 
-def test_circles_are_found_in_strong_noise():
+def test_neither_strong_noise_nor_a_scratch_on_the_gel_moves_the_circles():
     noisy = dataclasses.replace(OPTICS["gelslim"], read_noise=8.0)
     gel, pictures = photos(optics=noisy)
     for picture, (x, y, _) in zip(pictures, PLACES, strict=True):
         assert off_px(found(picture, gel), x, y) < 1.0
-
-
-def test_a_scratch_on_the_gel_does_not_move_the_circle():
     gel, pictures = photos()
     pictures[1, 84:87, 60:150] = 255
     assert off_px(found(pictures[1], gel), *PLACES[1][:2]) < 0.7

@@ -12,6 +12,7 @@ import pytest
 from message_helpers import missing, naming
 from PIL import Image
 from press_sets import BALL_M, ball_indentation, gel_under, sensor, write_image
+from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.sensors.calibration.frames import PressImage, choose_frames, read_frames, take_frames
@@ -96,10 +97,7 @@ def test_a_hand_on_the_gel_is_dropped():
 
 
 def textured(shift: int) -> np.ndarray:
-    dots = np.random.default_rng(5).normal(0, 25, (100, 120, 1))
-    from scipy.ndimage import gaussian_filter
-
-    dots = 3 * gaussian_filter(dots, (1.5, 1.5, 0))
+    dots = 3 * gaussian_filter(np.random.default_rng(5).normal(0, 25, (100, 120, 1)), (1.5, 1.5, 0))
     return dots[10:90, 10 + shift : 90 + shift]
 
 
@@ -118,20 +116,13 @@ def test_a_moved_camera_is_detected_by_the_gel_texture():
         find_presses([PressImage("gel.png", photo(GEL)), PressImage("gel2.png", photo(GEL)), *most])
 
 
-def test_images_without_a_ball_are_refused():
+def test_images_without_a_ball_of_a_ball_larger_than_the_image_and_too_few_images_are_refused():
     noise = np.random.default_rng(0).integers(-2, 3, (6, *GEL.shape))
-    images = [PressImage(f"{n}.png", np.clip(GEL + noise[n], 0, 255).astype(np.uint8)) for n in range(6)]
-    with pytest.raises(CalibrationError, match=naming("ball", "gel")):
-        find_presses(images)
-
-
-def test_a_ball_larger_than_the_image_is_refused():
-    images = [PressImage(f"{n}.png", pressed((0.0, 0.0), press_m=2e-3)[31:49, 31:49]) for n in range(4)]
-    with pytest.raises(CalibrationError, match=naming("ball", "gel")):
-        find_presses([*images, PressImage("gel.png", GEL[31:49, 31:49])])
-
-
-def test_two_images_are_too_few():
+    nothing = [PressImage(f"{n}.png", np.clip(GEL + noise[n], 0, 255).astype(np.uint8)) for n in range(6)]
+    large = [PressImage(f"{n}.png", pressed((0.0, 0.0), press_m=2e-3)[31:49, 31:49]) for n in range(4)]
+    for images in (nothing, [*large, PressImage("gel.png", GEL[31:49, 31:49])]):
+        with pytest.raises(CalibrationError, match=naming("ball", "gel")):
+            find_presses(images)
     with pytest.raises(CalibrationError, match=naming(2, 30)):
         find_presses(frames()[:2])
 
@@ -174,15 +165,14 @@ def test_a_folder_without_equal_colour_images_is_refused(tmp_path):
     write_image(tmp_path / "a.png", GEL)
     write_image(tmp_path / "labels.png", GEL)  # the sheet of an earlier run
     assert [frame.name for frame in read_frames(tmp_path)[1]] == ["a.png"]
-    write_image(tmp_path / "b.png", GEL[:40])
-    with pytest.raises(CalibrationError, match=naming("a.png", "80 x 80 px", "b.png", "80 x 40 px")):
-        read_frames(tmp_path)
-    write_image(tmp_path / "b.png", GEL[..., 0])
-    with pytest.raises(CalibrationError, match=naming("b.png", "colour")):
-        read_frames(tmp_path)
-    write_image(tmp_path / os.fsdecode(b"\xe4.png"), GEL)
-    with pytest.raises(CalibrationError, match=naming(r"\xe4.png", "Unicode")):
-        read_frames(tmp_path)
+    for name, image, words in (
+        ("b.png", GEL[:40], ("a.png", "80 x 80 px", "b.png", "80 x 40 px")),
+        ("b.png", GEL[..., 0], ("b.png", "colour")),
+        (os.fsdecode(b"\xe4.png"), GEL, (r"\xe4.png", "Unicode")),
+    ):
+        write_image(tmp_path / name, image)
+        with pytest.raises(CalibrationError, match=naming(*words)):
+            read_frames(tmp_path)
     with pytest.raises(CalibrationError, match=naming(tmp_path / "none")):
         read_frames(tmp_path / "none")
 

@@ -91,22 +91,21 @@ def test_the_image_border_may_cut_a_circle():
     np.testing.assert_array_equal(label.indentation_m[:, :40], whole.indentation_m[:, 40:])
 
 
-@pytest.mark.parametrize("radius_px", [14.8, 100.0])
-def test_a_circle_larger_than_the_ball_is_refused(radius_px):
-    with pytest.raises(CalibrationError, match=naming(f"{radius_px:.3g} px", "3 mm", "radius")):
-        label_ball(GEOMETRY, (40, 40), radius_px, BALL_M)
-
-
-@pytest.mark.parametrize(("radius_px", "ball_m"), [(0.0, BALL_M), (-3.0, BALL_M), (5.0, 0.0), (5.0, -1e-3)])
-def test_sizes_must_be_positive(radius_px, ball_m):
-    with pytest.raises(CalibrationError, match=naming(f"{radius_px:.3g} px", f"{1e3 * ball_m:.3g} mm")):
-        label_ball(GEOMETRY, (40, 40), radius_px, ball_m)
-
-
-@pytest.mark.parametrize("centre", [(-1, 40), (40, -0.5), (80.5, 40), (40, 81)])
-def test_a_centre_outside_the_image_is_refused(centre):
-    with pytest.raises(CalibrationError, match=naming(centre, "80 x 80 px")):
-        label_ball(GEOMETRY, centre, RADIUS_PX, BALL_M)
+@pytest.mark.parametrize(
+    ("centre", "radius_px", "ball_m", "words"),
+    [
+        ((40, 40), 14.8, BALL_M, ("14.8 px", "3 mm", "radius")),  # larger than the ball
+        ((40, 40), 100.0, BALL_M, ("100 px", "3 mm", "radius")),
+        ((40, 40), 0.0, BALL_M, ("0 px", "3 mm")),
+        ((40, 40), -3.0, BALL_M, ("-3 px", "3 mm")),
+        ((40, 40), 5.0, 0.0, ("5 px", "0 mm")),
+        ((40, 40), 5.0, -1e-3, ("5 px", "-1 mm")),
+        *((at, RADIUS_PX, BALL_M, (at, "80 x 80 px")) for at in ((-1, 40), (40, -0.5), (80.5, 40), (40, 81))),
+    ],
+)
+def test_an_impossible_circle_is_refused(centre, radius_px, ball_m, words):
+    with pytest.raises(CalibrationError, match=naming(*words)):
+        label_ball(GEOMETRY, centre, radius_px, ball_m)
 
 
 def label_of_box(make_scene, make_box, yaw_rad: float = 0.0, x_m: float = 0.0, press_m: float = 5e-4):
@@ -140,15 +139,17 @@ def test_the_skirt_around_a_mesh_is_unknown(make_scene, make_box):
     assert label.known[away > SKIRT_M + 2 * PITCH_M].all()
 
 
-def test_a_mesh_that_does_not_touch_is_refused(make_scene, make_box):
-    with pytest.raises(CalibrationError, match="box"):
-        label_of_box(make_scene, make_box, 0.0, x_m=0.05)
-
-
-@pytest.mark.parametrize("press_m", [0.0, -1e-4])
-def test_a_press_depth_of_a_mesh_must_be_positive(make_scene, make_box, press_m):
-    with pytest.raises(CalibrationError, match=naming("press depth", f"{1e3 * press_m:.3g} mm")):
-        label_of_box(make_scene, make_box, 0.0, press_m=press_m)
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"x_m": 0.05}, ["box"]),
+        ({"press_m": 0.0}, ["press depth", "0 mm"]),
+        ({"press_m": -1e-4}, ["press depth", "-0.1 mm"]),
+    ],
+)
+def test_a_mesh_that_does_not_touch_is_refused(make_scene, make_box, given, words):
+    with pytest.raises(CalibrationError, match=naming(*words)):
+        label_of_box(make_scene, make_box, 0.0, **given)
 
 
 def test_the_slope_of_a_known_surface_is_its_derivative():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from press_sets import places
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.optics.lamps import Light, Optics
@@ -18,11 +19,6 @@ def sensor(px: int = 80, size_m: float = 0.016, **more) -> SensorGeometry:
     """An orthographic sensor of a square field, 16 mm wide."""
     k = px / size_m
     return SensorGeometry("orthographic", px, px, k, k, px / 2, px / 2, 0.01, 2e-3, **more)
-
-
-def places(geometry: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
-    """The positions x and y (H, W) of an orthographic sensor's pixels, metres."""
-    return np.meshgrid(*geometry.pixel_slopes)
 
 
 def ball_depth(geometry: SensorGeometry, x_m: float = 0.0, y_m: float = 0.0) -> np.ndarray:

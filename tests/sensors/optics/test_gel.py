@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from imaging_helpers import BALL_M, PRESS_M, ball_depth, places, presses, sensor, tip_depth
+from imaging_helpers import BALL_M, PRESS_M, ball_depth, presses, sensor, tip_depth
 from message_helpers import naming
+from press_sets import places
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import ConfigError

@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 import pytest
-from imaging_helpers import BALL_M, PRESS_M, ball_depth, lamp, lit, places, presses, rng, sensor, tip_depth
+from imaging_helpers import BALL_M, PRESS_M, ball_depth, lamp, lit, presses, rng, sensor, tip_depth
 from message_helpers import naming
+from press_sets import places
 from scipy.special import ndtr
 
 from tactile_loc.core.runtime.errors import ConfigError
@@ -45,14 +46,9 @@ def test_a_tilted_plane_has_lamberts_shade_at_any_pixel_size(geometry):
     slope_x, slope_y = measure_slopes(tilted, geometry)
     assert slope_x == pytest.approx(0.3, abs=1e-4)
     assert slope_y == pytest.approx(-0.2, abs=1e-4)
-    shade = {
-        "right": -0.3 * math.cos(ELEVATION),
-        "left": 0.3 * math.cos(ELEVATION),
-        "below": 0.2 * math.cos(ELEVATION),
-        "above": -0.2 * math.cos(ELEVATION),
-    }
-    for side, sideways in shade.items():
-        expected = 255 * 0.9 * (sideways + math.sin(ELEVATION)) / math.sqrt(1 + 0.3**2 + 0.2**2)
+    for side, slope in {"right": -0.3, "left": 0.3, "below": 0.2, "above": -0.2}.items():
+        lambert = (slope * math.cos(ELEVATION) + math.sin(ELEVATION)) / math.sqrt(1 + 0.3**2 + 0.2**2)
+        expected = 255 * 0.9 * lambert
         assert rendered(tilted, geometry, lit(side)) == pytest.approx(expected, abs=0.6), side
 
 
@@ -129,21 +125,21 @@ def test_a_mirrored_touch_under_mirrored_lights_gives_a_mirrored_picture():
     geometry = sensor()
     surface = press_gel(ball_depth(geometry, 2e-3, 1e-3), presses(), geometry)
     optics = Optics((lamp("right", 30, 0.5, (1, 0, 0.2), distance=2.0), lamp("above", 50, 0.4, (0, 1, 0))), dome=0.2)
-    mirrored = dataclasses.replace(
-        optics,
-        lights=tuple(dataclasses.replace(v, direction=(-v.direction[0], *v.direction[1:])) for v in optics.lights),
-    )
+    lights = (dataclasses.replace(v, direction=(-v.direction[0], *v.direction[1:])) for v in optics.lights)
+    mirrored = dataclasses.replace(optics, lights=tuple(lights))
     picture = rendered(surface, geometry, optics)
     assert rendered(surface[:, :, ::-1], geometry, mirrored)[:, :, ::-1] == pytest.approx(picture, abs=1)
     assert np.abs(picture[:, :, ::-1].astype(int) - picture).max() > 50
 
 
-def test_a_photo_stays_unchanged_without_press_and_noise():
-    geometry = sensor()
+def test_a_photo_or_the_background_stays_unchanged_without_press_and_noise():
+    geometry, unpressed = sensor(), np.zeros((2, 80, 80), np.float32)
     photo = rng().integers(0, 256, (80, 80, 3), dtype=np.uint8)
     for optics in OPTICS.values():
-        unpressed = rendered(np.zeros((2, 80, 80), np.float32), geometry, optics.remove_noise(), photo=photo)
-        assert np.array_equal(unpressed, np.stack([photo, photo]))
+        for own, expected in ((photo, photo), (None, render_background(geometry, optics))):
+            assert expected.shape == (80, 80, 3)
+            pictures = rendered(unpressed, geometry, optics.remove_noise(), photo=own)
+            assert np.array_equal(pictures, np.stack([expected, expected]))
 
 
 def test_a_press_changes_a_photo_as_it_changes_the_rendered_gel():
@@ -156,14 +152,6 @@ def test_a_press_changes_a_photo_as_it_changes_the_rendered_gel():
     on_photo = rendered(surface, geometry, optics, photo=photo)[0].astype(int) - photo
     free = (own + change > 22) & (own + change < 254)  # neither black nor white
     assert on_photo[free] == pytest.approx(change[free], abs=1)
-
-
-def test_the_background_equals_the_unpressed_picture():
-    geometry = sensor()
-    optics = OPTICS["digit"]
-    unpressed = rendered(np.zeros((1, 80, 80), np.float32), geometry, optics.remove_noise())[0]
-    assert np.array_equal(render_background(geometry, optics), unpressed)
-    assert render_background(geometry, optics).shape == (80, 80, 3)
 
 
 def test_the_lens_blurs_by_its_width_in_metres():
@@ -179,21 +167,17 @@ def test_the_lens_blurs_by_its_width_in_metres():
 
 
 def test_vignetting_darkens_the_corner_by_the_stated_share():
-    geometry = sensor()
-    bright = render_background(geometry, lit("right")).astype(float)
-    dark = render_background(geometry, lit("right", vignetting=0.4)).astype(float)
+    bright, dark = (render_background(sensor(), lit("right", vignetting=v)).astype(float) for v in (0.0, 0.4))
     assert (dark / bright)[0, 0] == pytest.approx(1 - 0.4 * (79 / 80) ** 2, abs=0.01)
     assert (dark / bright)[40, 40] == pytest.approx(1.0, abs=0.01)
 
 
 def test_gloss_is_brightest_halfway_to_the_lamp():
-    geometry = sensor(40)
-    matt, gloss = lit("right"), lit("right", specular=0.3, shininess=12.0)
-    shine = {
-        slope: rendered(plane(geometry, -slope, 0), geometry, gloss)[0, 20, 20, 0].astype(int)
-        - rendered(plane(geometry, -slope, 0), geometry, matt)[0, 20, 20, 0]
-        for slope in (-0.3, 0.0, 0.3)
-    }
+    geometry, shine = sensor(40), {}
+    for slope in (-0.3, 0.0, 0.3):
+        optics = (lit("right", specular=0.3, shininess=12.0), lit("right"))
+        gloss, matt = (int(rendered(plane(geometry, -slope, 0), geometry, one)[0, 20, 20, 0]) for one in optics)
+        shine[slope] = gloss - matt
     assert shine[0.0] == pytest.approx(255 * 0.9 * 0.3 * math.cos(math.radians(30)) ** 12, abs=1)
     away = math.radians(30) - math.atan(0.3)  # half of the 60 degrees between lamp and camera
     assert shine[0.3] == pytest.approx(255 * 0.9 * 0.3 * math.cos(away) ** 12, abs=1)
@@ -220,11 +204,10 @@ def test_noise_has_the_stated_strength(read, shot, brightness):
 
 
 def test_equal_seeds_give_equal_pictures():
-    geometry = sensor()
-    surface = pressed_tip(geometry)
-    optics = OPTICS["gelsight-mini"]
-    assert np.array_equal(rendered(surface, geometry, optics, 1), rendered(surface, geometry, optics, 1))
-    assert not np.array_equal(rendered(surface, geometry, optics, 1), rendered(surface, geometry, optics, 2))
+    geometry, optics = sensor(), OPTICS["gelsight-mini"]
+    one, same, other = (rendered(pressed_tip(geometry), geometry, optics, seed) for seed in (1, 1, 2))
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
 
 
 def test_pixels_outside_the_sensing_rectangle_do_not_change():

@@ -131,11 +131,6 @@ def test_the_boards_alternate():
     assert list(press_boards(sensor(16), 0, GELSLIM, rng(), HeightmapRenderer())) == []
 
 
-def test_a_negative_number_of_presses_is_refused():
-    with pytest.raises(ConfigError, match=naming("-1")):
-        next(press_boards(sensor(), -1, GELSLIM, rng(), HeightmapRenderer()))
-
-
 class Nothing(HeightmapRenderer):
     """A renderer that finds no surface at any pixel."""
 
@@ -143,6 +138,8 @@ class Nothing(HeightmapRenderer):
         return np.full((len(T_sensor_object), *geometry.shape), np.inf, np.float32)
 
 
-def test_boards_without_any_imprint_raise_an_error():
+def test_a_negative_number_of_presses_and_boards_without_any_imprint_are_refused():
+    with pytest.raises(ConfigError, match=naming("-1")):
+        next(press_boards(sensor(), -1, GELSLIM, rng(), HeightmapRenderer()))
     with pytest.raises(TouchError, match="calibration-board-1"):
         next(press_boards(sensor(16), 2, GELSLIM, rng(), Nothing()))
