@@ -8,7 +8,7 @@ import trimesh
 from message_helpers import naming
 
 from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.core.sensing.contact import find_lowest_points
 from tactile_loc.core.sensing.gel import Gel
@@ -74,6 +74,7 @@ def test_fixed_tilt_steps_do_not_affect_the_spacing(make_scene, pinhole, box):
 def test_all_poses_touch(make_scene, pinhole, box):
     grid = make_contact_grid(face(5.0), make_scene(box, pinhole))
     assert is_rigid(grid.T_sensor_object)
+    assert grid.metric.object is box
     lowest = find_lowest_points(box.mesh, grid.T_sensor_object, pinhole.rectangle)
     np.testing.assert_allclose(lowest, pinhole.standoff_m, atol=1e-12)
 
@@ -84,6 +85,7 @@ def test_poses_without_contact_are_dropped(make_scene, flat_camera, box):
     grid = make_contact_grid(Fixed(poses), make_scene(box, flat_camera))
     assert len(grid) == 2
     assert grid.T_sensor_object[:, 0, 3].tolist() == [0.0, 0.005]
+    assert len(make_contact_grid(Fixed(np.eye(4)[None]), make_scene(box, flat_camera))) == 1
 
 
 def test_a_grid_without_contact_is_refused(make_scene, flat_camera, box):
@@ -93,10 +95,6 @@ def test_a_grid_without_contact_is_refused(make_scene, flat_camera, box):
         make_contact_grid(nowhere, scene)
     with pytest.raises(GridError, match=naming("box", "0.25 %", "grid.min_contact_percent")):
         draw_contact_poses(nowhere, scene, 1, np.random.default_rng(0))
-
-
-def test_a_single_pose_gives_a_grid(make_scene, flat_camera, box):
-    assert len(make_contact_grid(Fixed(np.eye(4)[None]), make_scene(box, flat_camera))) == 1
 
 
 def test_symmetric_duplicates_are_removed(make_scene, flat_camera, make_box):
@@ -219,9 +217,3 @@ def test_an_impossible_spacing_is_refused(make_scene, pinhole, box, spacing_mm):
     sampler = FaceGrid(FaceGrid.Options.model_construct(spacing_mm=spacing_mm, face="+z", tilt_deg=0.0, tilt_steps=3))
     with pytest.raises(GridError, match=naming(f"{spacing_mm:g} mm", "spacing_mm")):
         make_contact_grid(sampler, make_scene(box, pinhole))
-
-
-def test_the_grid_has_the_metric_of_the_scene(make_scene, pinhole, box):
-    grid = make_contact_grid(face(6.0), make_scene(box, pinhole))
-    assert isinstance(grid.metric, PoseMetric)
-    assert grid.metric.object is box

@@ -270,41 +270,39 @@ def test_drift_does_not_change_the_visible_contact():
 
 
 @pytest.mark.parametrize("px", [80, 240])
-def test_missing_patches_have_the_given_number_and_size(px):
-    """The mean area of a disc of radius U(0.3, 1) r is pi r^2 0.4633; few discs overlap."""
-    count, missing = 300, 0.5
-    lost = corrupted(TouchNoise(missing=missing, patch_m=1e-3), deep(count, px), sensor(px)) > 0
-    assert lost.any(axis=(1, 2)).mean() == pytest.approx(1 - np.exp(-missing), abs=0.09)
-    numbers = np.array([label(image)[1] for image in lost])
-    assert numbers.mean() == pytest.approx(missing, abs=0.13)
-    assert numbers.var() == pytest.approx(missing, abs=0.25)
-    area_m2 = lost.sum() * (0.04 / px) ** 2 / max(1, numbers.sum())
-    assert area_m2 == pytest.approx(np.pi * 1e-6 * 0.4633, rel=0.15)
-    assert set(np.unique(corrupted(TouchNoise(missing=9), deep(3, px), sensor(px)))) == {0.0, np.float32(PRESS_M)}
+@pytest.mark.parametrize(
+    ("part", "clean", "mean_square"),  # of radii U(0.3, 1) and U(0.2, 0.7) of the patch size
+    [
+        (TouchNoise(missing=0.5, patch_m=1e-3), deep, 0.4633),
+        (TouchNoise(spurious=0.5, patch_m=2e-3), empty, 0.2233),
+    ],
+    ids=["missing", "spurious"],
+)
+def test_patches_have_the_given_number_and_size(px, part, clean, mean_square):
+    """The mean area of a disc is pi times its mean squared radius; few discs overlap."""
+    shapes = clean(300, px)
+    changed = corrupted(part, shapes, sensor(px)) != shapes
+    assert changed.any(axis=(1, 2)).mean() == pytest.approx(1 - np.exp(-0.5), abs=0.09)
+    numbers = np.array([label(image)[1] for image in changed])
+    assert numbers.mean() == pytest.approx(0.5, abs=0.13)
+    assert numbers.var() == pytest.approx(0.5, abs=0.25)
+    area_m2 = changed.sum() * (0.04 / px) ** 2 / numbers.sum()
+    assert area_m2 == pytest.approx(np.pi * part.patch_m**2 * mean_square, rel=0.15)
 
 
-def test_missing_patches_remove_only_contact():
+def test_missing_patches_remove_whole_contacts_and_add_none():
+    lost = corrupted(TouchNoise(missing=9), deep(3), sensor())
+    assert set(np.unique(lost)) == {0.0, np.float32(PRESS_M)}
     depth = empty(50)
     depth[::2, 10:12, 60:62] = 0.0
-    kept = corrupted(TouchNoise(missing=50.0, patch_m=5e-3), depth, sensor())
-    assert np.array_equal(kept, empty(50))
+    assert np.array_equal(corrupted(TouchNoise(missing=50.0, patch_m=5e-3), depth, sensor()), empty(50))
 
 
-@pytest.mark.parametrize("px", [80, 240])
-def test_spurious_patches_have_the_given_number_size_and_depth(px):
-    count, spurious = 300, 0.5
-    shown = corrupted(TouchNoise(spurious=spurious, patch_m=2e-3), empty(count, px), sensor(px))
-    contact = shown < np.float32(PRESS_M)
-    numbers = np.array([label(image)[1] for image in contact])
-    assert numbers.mean() == pytest.approx(spurious, abs=0.13)
-    area_m2 = contact.sum() * (0.04 / px) ** 2 / numbers.sum()
-    assert area_m2 == pytest.approx(np.pi * 4e-6 * 0.2233, rel=0.15)  # the mean square of U(0.2, 0.7) is 0.2233
-    imprint = 1 - shown[contact] / PRESS_M
+def test_spurious_patches_have_a_depth_of_the_press_and_remove_no_contact():
+    shown = corrupted(TouchNoise(spurious=0.5, patch_m=2e-3), empty(300), sensor())
+    imprint = 1 - shown[shown < np.float32(PRESS_M)] / PRESS_M
     assert 0.1 - 1e-6 <= imprint.min() < 0.15
     assert 0.45 < imprint.max() <= 0.5 + 1e-6
-
-
-def test_a_spurious_patch_removes_no_contact():
     assert np.array_equal(corrupted(TouchNoise(spurious=20.0), deep(3), sensor()), deep(3))
 
 
