@@ -30,9 +30,8 @@ def modes_of(obj, p: float) -> PoseModes:
 
 
 def foresee_all(modes: PoseModes, approaches):
-    return foresee(
-        Scene(modes.object, modes.geometry, registry().create("renderer", "heightmap", {})), modes, approaches
-    )
+    scene = Scene(modes.object, modes.geometry, registry().create("renderer", "heightmap", {}))
+    return foresee(scene, modes, approaches)
 
 
 def test_approaches_to_one_pose_meet_the_object(box):
@@ -57,9 +56,7 @@ def test_approaches_are_aimed_at_the_modes_by_their_probability(box):
     first = modes.T_base_object[0] @ [*box.mesh.centroid_m, 1]
     beside_m = [np.linalg.norm((invert(one.T_base_sensor) @ first)[:2]) for one in approaches]
     reach_m = np.linalg.norm(box.mesh.corners_m - box.mesh.centroid_m, axis=1).max()
-    missing = np.mean(
-        np.array(beside_m) > reach_m
-    )  # of the likelier mode: those aimed at the other, but for those in line
+    missing = np.mean(np.array(beside_m) > reach_m)  # those aimed at the less likely mode, but for those in line
     assert 0.05 < missing < 0.12
     assert {one.press_m for one in approaches} == {None}  # as deep as in the touch before
 

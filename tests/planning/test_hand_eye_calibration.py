@@ -72,10 +72,8 @@ def test_a_nominal_mount_excludes_other_mounts(box, truth):
     rng, (X, Y) = np.random.default_rng(5), truth
     S = poses(COUNT, 0.02, rng)
     F, hypotheses = Y @ invert(S) @ invert(X), hypotheses_of(S, box, rng)
-    allowed = [
-        lambda T, N=N: module._is_near(T, N)
-        for N in (X @ make_translation([0.01, 0, 0]), X @ make_translation([0.1, 0, 0]))
-    ]
+    nominal = (X @ make_translation([x, 0, 0]) for x in (0.01, 0.1))
+    allowed = [lambda T, N=N: module._is_near(T, N) for N in nominal]
     near, far = (list_hand_eye_starts(F, hypotheses, PoseMetric(box), 1, some) for some in allowed)
     assert near[0].agreeing.all()
     assert not far or far[0].agreeing.sum() < COUNT / 2
@@ -163,13 +161,8 @@ def test_too_few_touches_and_poor_motions_are_named(case):
 
 
 def test_an_undetermined_direction_is_named():
-    known = np.diag([1e-8] * 3 + [1e-6] * 3)
-    require_determined(known)
-    far = known.copy()
-    far[1, 1] = 0.005**2
-    with pytest.raises(MountError, match=naming("5.0 mm") + r".*\by\b"):
-        require_determined(far)
-    turned = known.copy()
-    turned[5, 5] = 0.1**2
-    with pytest.raises(MountError, match=naming("5.7 deg") + r".*\bz\b"):
-        require_determined(turned)
+    known = np.array([1e-8] * 3 + [1e-6] * 3)
+    require_determined(np.diag(known))
+    for number, std, words in ((1, 0.005, naming("5.0 mm") + r".*\by\b"), (5, 0.1, naming("5.7 deg") + r".*\bz\b")):
+        with pytest.raises(MountError, match=words):
+            require_determined(np.diag(np.where(np.arange(6) == number, std**2, known)))

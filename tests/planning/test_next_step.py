@@ -36,18 +36,10 @@ def located(obj: ObjectModel, poses: list[np.ndarray], p: list[float], T_base_se
     depth = np.full(GEL.shape, 1e-3, np.float32)
     depth[20:40, 20:60] = 5e-4
     touch = Touch(ContactShape(depth, 1e-3), GEL, T_base_sensor=T_base_sensor)
-    hypotheses = [
-        Hypothesis(
-            share,
-            T,
-            RefinedPose(T @ make_translation([1e-6, 0, 0]), 1.0, True, 1, 1e-12 * np.eye(6)),
-            k,
-            1,
-            0.9,
-            T_base_sensor=T_base_sensor,
-        )
-        for k, (share, T) in enumerate(zip(p, poses, strict=True))
-    ]
+    hypotheses = []
+    for k, (share, T) in enumerate(zip(p, poses, strict=True)):
+        refined = RefinedPose(T @ make_translation([1e-6, 0, 0]), 1.0, True, 1, 1e-12 * np.eye(6))
+        hypotheses.append(Hypothesis(share, T, refined, k, 1, 0.9, T_base_sensor=T_base_sensor))
     posterior = PosePosterior(PoseGrid(np.stack(poses), PoseMetric(obj)), np.log(p))
     config = RunConfig(tolerance="6deg")  # poses that differ by a half turn have nearly equal surfaces
     return Localization(touch, posterior, tuple(hypotheses), {}, config=config)

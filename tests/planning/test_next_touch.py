@@ -17,12 +17,7 @@ from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.planning.clearance import Clearance, make_box_finger
-from tactile_loc.planning.next_touch import (
-    choose_next_touch,
-    compute_expected_entropy,
-    find_groups,
-    foresee,
-)
+from tactile_loc.planning.next_touch import choose_next_touch, compute_expected_entropy, find_groups, foresee
 from tactile_loc.tracking.pose_modes import PoseModes, find_distinct_modes, join_modes
 
 GEL = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)  # 20 x 15 mm
@@ -71,21 +66,20 @@ def edge_of(direction, **given) -> Approach:
     return towards(direction, beside_m=0.009, **given)
 
 
+SIDES = [edge_of(to, name=name) for name, to in (("top", [0, 0, -1]), ("front", [0, -1, 0]), ("knob", [-1, 0, 0]))]
+
+
 def test_the_side_that_distinguishes_two_poses_is_chosen(knobbed):
     modes = modes_of(knobbed, np.eye(4), HALF_TURN)
-    sides = {"top": [0, 0, -1], "front": [0, -1, 0], "knob": [-1, 0, 0]}
-    found = choose_next_touch(modes, [edge_of(direction, name=name) for name, direction in sides.items()])
+    found = choose_next_touch(modes, SIDES)
     assert found.best.approach.name == "knob"
     assert found.best.information == pytest.approx(np.log(2), abs=0.01)
     assert found.best.entropy == pytest.approx(0.0, abs=0.01)
     assert [rated.information for rated in found.ranked[1:]] == pytest.approx([0.0, 0.0], abs=1e-3)
     assert found.alike == ()
     assert found.doubt_left == 0
-
-
-def test_the_travel_of_the_sensor_locates_the_knob(knobbed):
-    found = choose_next_touch(modes_of(knobbed, np.eye(4), HALF_TURN), [towards([-1, 0, 0])])
-    assert np.sort(found.best.travel_m) == pytest.approx([0.027, 0.030], abs=1e-6)  # 50 mm less 23, or 20
+    travel_m = choose_next_touch(modes, [towards([-1, 0, 0])]).best.travel_m
+    assert np.sort(travel_m) == pytest.approx([0.027, 0.030], abs=1e-6)  # 50 mm less 23 to the knob, or 20
 
 
 def test_poses_that_no_touch_distinguishes_are_reported(make_box):
@@ -141,12 +135,9 @@ def test_poses_that_are_equal_by_symmetry_are_merged(make_box):
 
 def test_an_approach_out_of_reach_is_never_chosen(knobbed):
     modes = modes_of(knobbed, np.eye(4), HALF_TURN)
-    inside = dataclasses.replace(
-        towards([-1, 0, 0]), T_base_sensor=make_transform(align_to_z([-1, 0, 0]).T, np.zeros(3))
-    )
-    found = choose_next_touch(
-        modes, [towards([-1, 0, 0], cost=np.inf, name="far"), edge_of([0, 0, -1], name="top"), inside]
-    )
+    inside = Approach(make_transform(align_to_z([-1, 0, 0]).T, np.zeros(3)))
+    far = towards([-1, 0, 0], cost=np.inf, name="far")
+    found = choose_next_touch(modes, [far, edge_of([0, 0, -1], name="top"), inside])
     assert [rated.approach.name for rated in found.ranked] == ["top"]
     assert [name.name for name, _ in found.out_of_reach] == ["far", ""]
     assert "inside" in found.out_of_reach[1][1]
@@ -196,12 +187,8 @@ def test_two_modes_have_the_known_expected_entropy():
     told = np.array([[True, True], [True, True], [True, False]])
     after = compute_expected_entropy(np.stack([apart, none, apart]), p, told)
     assert after == pytest.approx([0.0, before, 0.75 * before])
-
-
-def test_a_touch_that_is_located_half_of_the_time_tells_half():
-    p, apart = np.array([0.5, 0.5]), np.array([[[0.0, 50.0], [50.0, 0.0]]])
-    after = compute_expected_entropy(apart, p, np.array([[0.5, 0.5]]))
-    assert after == pytest.approx([0.5 * np.log(2)])
+    half = compute_expected_entropy(apart[None], np.array([0.5, 0.5]), np.array([[0.5, 0.5]]))  # half of the time
+    assert half == pytest.approx([0.5 * np.log(2)])
 
 
 def test_a_large_contact_is_preferred_to_a_small_one(make_box):
@@ -225,8 +212,7 @@ def test_the_side_that_distinguishes_two_objects_is_chosen(knobbed, make_box):
     assert [obj for obj, _ in modes.by_object] == [plain, knobbed]
     assert modes.probabilities.tolist() == pytest.approx([5 / 9, 4 / 9])
     assert modes.unlisted == pytest.approx(0.1)
-    sides = {"top": [0, 0, -1], "front": [0, -1, 0], "knob": [-1, 0, 0]}
-    found = choose_next_touch(modes, [edge_of(direction, name=name) for name, direction in sides.items()])
+    found = choose_next_touch(modes, SIDES)
     assert found.best.approach.name == "knob"
     assert found.best.entropy == pytest.approx(0.0, abs=0.01)
     assert [rated.information for rated in found.ranked[1:]] == pytest.approx([0.0, 0.0], abs=1e-3)
@@ -266,14 +252,14 @@ def test_an_approach_may_be_given_by_its_start_pose_alone(knobbed):
 
 def test_invalid_approaches_and_modes_are_refused(knobbed):
     modes = modes_of(knobbed, np.eye(4))
-    with pytest.raises(ConfigError):
-        choose_next_touch(modes, [])
-    with pytest.raises(ConfigError, match=naming("T_base_sensor", 2, "rigid")):
-        choose_next_touch(modes, [np.eye(4), 2 * np.eye(4)])
-    with pytest.raises(ConfigError, match=naming("approach 1", "cost", 0)):
-        choose_next_touch(modes, [towards([0, 0, 1], cost=0.0)])
-    with pytest.raises(ConfigError, match=naming("approach 2", "20 mm")):
-        choose_next_touch(modes, [towards([0, 0, 1]), towards([0, 0, 1], press_m=0.02)])
+    for approaches, words in (
+        ([], []),
+        ([np.eye(4), 2 * np.eye(4)], ["T_base_sensor", 2, "rigid"]),
+        ([towards([0, 0, 1], cost=0.0)], ["approach 1", "cost", 0]),
+        ([towards([0, 0, 1]), towards([0, 0, 1], press_m=0.02)], ["approach 2", "20 mm"]),
+    ):
+        with pytest.raises(ConfigError, match=naming(*words)):
+            choose_next_touch(modes, approaches)
 
 
 SOFT = dataclasses.replace(GEL, gel=Gel(4e-3))

@@ -86,10 +86,9 @@ def test_a_touch_that_the_pose_does_not_explain_is_a_poor_fit(localizer, frames)
 
 def test_images_are_used_together_only_with_sensor_poses(localizer, frames):
     source = Images(localizer, frames, has_base=False)
-    with pytest.raises(FrameError):
-        fuse_frames(source)
-    with pytest.raises(FrameError):
-        next(track_frames(source))
+    for use in (fuse_frames, lambda source: next(track_frames(source))):
+        with pytest.raises(FrameError):
+            use(source)
     unknown = [replace(frame, T_base_sensor=None, problem=FrameError("unknown")) for frame in frames]
     with pytest.raises(RecordingError):
         fuse_frames(Images(localizer, unknown))
@@ -114,9 +113,7 @@ def test_a_track_predicts_without_contact_and_skips_refused_images(localizer, fr
 
 def test_the_scatter_is_that_of_located_origins(frames, localizer):
     rest, records = fuse_frames(Images(localizer, frames[:1]))
-    moved = [
-        ReplayedFrame.of(frame, rest.view_frame(frame, 0.9).view_from(make_translation([x, 0, 0])))
-        for frame, x in ((frames[0], 0.0), (frames[0], 4e-3))
-    ]
+    found = rest.view_frame(frames[0], 0.9)
+    moved = [ReplayedFrame.of(frames[0], found.view_from(make_translation([x, 0, 0]))) for x in (0.0, 4e-3)]
     assert measure_scatter_m(moved) == pytest.approx(2e-3)
     assert measure_scatter_m(records) == 0.0

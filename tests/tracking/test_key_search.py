@@ -44,13 +44,9 @@ def test_of_too_many_key_touches_one_of_the_two_nearest_is_dropped(pin, touches)
 
 
 def test_the_turns_of_a_search_end_with_the_touches_located_together(pin, touches):
-    search = KeySearch(pin).add(touches[0]).begin(())
-    assert not search.is_due
-    finished = None
-    for _ in range(100):
-        search, finished = search.take_turn()
-        if finished is not None:
-            break
+    search = KeySearch(pin).add(touches[0])
+    assert not search.begin(()).is_due
+    search, finished = finish(search)
     assert finished.keys == (touches[0],)
     whole = locate_keys(pin, [touches[0]])
     assert finished.found.verdict is whole.verdict

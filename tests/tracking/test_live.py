@@ -17,6 +17,8 @@ from tactile_loc.io.json_keys import read_keys
 from tactile_loc.io.streams.frame_sources import ImageFolder, SourceFrame
 from tactile_loc.io.streams.sensor_tracks import read_sensor_track
 from tactile_loc.io.touches import write_touch
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.tracking.live import LIVE, LiveLocator, LiveSummary
 from tactile_loc.tracking.tracker import Tracker
@@ -38,6 +40,16 @@ def frames_of(folder: Path, *touches: Touch | None) -> list[SourceFrame]:
         else:
             write_touch(folder / f"{k}.npz", touch)
     return list(ImageFolder(folder, every=True).read_frames())
+
+
+def started(localizer: Localizer, T_base_object: np.ndarray) -> Tracker:
+    tracker = Tracker(localizer)
+    tracker.start(T_base_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
+    return tracker
+
+
+def require_position(located: LocatedFrame, expected_m: np.ndarray) -> None:
+    np.testing.assert_allclose(np.array(located.T_sensor_object)[:3, 3], expected_m, atol=5e-4)
 
 
 def test_a_frame_is_located_like_its_touch(localizer, touch, tmp_path):
@@ -97,17 +109,14 @@ def test_the_rate_is_the_rate_of_the_last_frames(localizer, tmp_path, monkeypatc
 
 def test_a_static_object_is_tracked_and_predicted_without_contact(localizer, touch, tmp_path):
     """The track begins at the truth, so that no search is needed."""
-    tracker = Tracker(localizer)
-    tracker.start(touch.T_sensor_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
+    tracker = started(localizer, touch.T_sensor_object)
     locator = LiveLocator(localizer, tracker)
-    frames = [replace(frame, time_s=t) for frame, t in zip(frames_of(tmp_path / "in", touch, touch, None, touch),
-                                                           (5.0, 5.1, 5.05, 5.2), strict=True)]  # fmt: skip
+    seen, times_s = frames_of(tmp_path / "in", touch, touch, None, touch), (5.0, 5.1, 5.05, 5.2)
+    frames = [replace(frame, time_s=time_s) for frame, time_s in zip(seen, times_s, strict=True)]
     results = [locator.locate(frame) for frame in frames]
     assert [result.located.verdict for result in results] == ["certain", "certain", "no contact", "certain"]
     for result in results:
-        np.testing.assert_allclose(
-            np.array(result.located.T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4
-        )
+        require_position(result.located, touch.T_sensor_object[:3, 3])
     without = results[2].located
     assert np.isnan(without.imprint_iou)
     assert "mm" in without.says
@@ -121,24 +130,20 @@ def test_a_track_uses_the_sensor_poses_of_a_csv_file(localizer, touch, tmp_path)
         "file,x_mm,y_mm,z_mm,qx,qy,qz,qw\n0.npz,100,0,200,0,0,0,1\n1.npz,100,0,210,0,0,0,1\n"
     )
     T = make_translation([0.1, 0.0, 0.2])
-    tracker = Tracker(localizer)
-    tracker.start(T @ touch.T_sensor_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
+    tracker = started(localizer, T @ touch.T_sensor_object)
     locator = LiveLocator(localizer, tracker, sensor_track=read_sensor_track(tmp_path / "poses.csv"))
     records = [locator.locate(frame).located for frame in frames]
     assert [record.verdict for record in records] == [Verdict.CERTAIN, Verdict.NO_CONTACT, None]
-    np.testing.assert_allclose(np.array(records[0].T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4)
-    lifted = touch.T_sensor_object[:3, 3] - [0.0, 0.0, 0.01]
-    np.testing.assert_allclose(np.array(records[1].T_sensor_object)[:3, 3], lifted, atol=5e-4)
+    require_position(records[0], touch.T_sensor_object[:3, 3])
+    require_position(records[1], touch.T_sensor_object[:3, 3] - [0.0, 0.0, 0.01])
     assert not missing(records[2].says, "2.npz", "poses.csv")
 
 
 def test_a_track_uses_the_sensor_poses_in_the_files(localizer, touch, tmp_path):
     """If the sensor moves with the object, the touch stays equal and the pose in the base frame changes."""
-    T = np.eye(4)
-    T[:3, 3] = [0.1, 0.0, 0.2]
+    T = make_translation([0.1, 0.0, 0.2])
     (frame,) = frames_of(tmp_path / "in", replace(touch, T_base_sensor=T))
-    tracker = Tracker(localizer)
-    tracker.start(T @ touch.T_sensor_object, np.diag([1e-4**2] * 3 + [1e-2**2] * 3))
+    tracker = started(localizer, T @ touch.T_sensor_object)
     record = LiveLocator(localizer, tracker).locate(frame).located
     assert record.verdict is Verdict.CERTAIN
-    np.testing.assert_allclose(np.array(record.T_sensor_object)[:3, 3], touch.T_sensor_object[:3, 3], atol=5e-4)
+    require_position(record, touch.T_sensor_object[:3, 3])

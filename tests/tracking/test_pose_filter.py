@@ -32,6 +32,11 @@ def about(point_m: np.ndarray, error: np.ndarray) -> np.ndarray:
     return T
 
 
+def scaled(C: np.ndarray, by: np.ndarray) -> np.ndarray:
+    """Return a covariance in units of the standard deviations of another."""
+    return C / np.sqrt(np.outer(np.diag(by), np.diag(by)))
+
+
 def test_a_covariance_is_transformed_to_another_frame_with_its_pose():
     rng = np.random.default_rng(0)
     T_base_object, T_base_sensor = poses(2, rng)
@@ -40,8 +45,7 @@ def test_a_covariance_is_transformed_to_another_frame_with_its_pose():
     assert np.allclose(T, invert(T_base_sensor) @ T_base_object)
     drawn = move(T_base_object, rng.multivariate_normal(np.zeros(6), C, size=20_000))
     errors = compute_pose_errors(invert(T_base_sensor) @ drawn, T)
-    assert np.allclose(np.cov(errors.T) / np.sqrt(np.outer(np.diag(seen), np.diag(seen))),
-                       seen / np.sqrt(np.outer(np.diag(seen), np.diag(seen))), atol=0.03)  # fmt: skip
+    assert np.allclose(scaled(np.cov(errors.T), seen), scaled(seen, seen), atol=0.03)
 
 
 def test_a_motions_error_moves_the_object_by_its_lever():
@@ -52,8 +56,7 @@ def test_a_motions_error_moves_the_object_by_its_lever():
     T_sensor_object = invert(T_base_sensor) @ T_base_object
     drawn = move(T_base_sensor, rng.multivariate_normal(np.zeros(6), C, size=20_000)) @ T_sensor_object
     errors = compute_pose_errors(drawn, T_base_object)
-    scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
-    assert np.allclose(np.cov(errors.T) / scale, found / scale, atol=0.04)
+    assert np.allclose(scaled(np.cov(errors.T), found), scaled(found, found), atol=0.04)
 
 
 def test_a_wrong_sensor_pose_is_removed_from_the_view():
@@ -62,9 +65,7 @@ def test_a_wrong_sensor_pose_is_removed_from_the_view():
     T_base_object, true_T_base_sensor = poses(2, rng)
     for off in np.concatenate([np.diag(STD), rng.normal(size=(2, 6)) * STD]) * 1e-2:
         said = true_T_base_sensor @ about(GEL, off)
-        errors = np.concatenate(
-            [rng.normal(size=6), off / UNIT]
-        )  # the errors of touches are independent of the object's pose
+        errors = np.concatenate([rng.normal(size=6), off / UNIT])  # touches' errors do not depend on the object's pose
         known = np.concatenate([np.zeros(6), errors])
         T, seen = PoseFilter(T_base_object, errors, np.outer(known, known)).view_from(said, GEL)
         truth = invert(true_T_base_sensor) @ T_base_object
@@ -106,12 +107,8 @@ def test_a_possible_motion_of_the_object_adds_its_covariance():
     rng = np.random.default_rng(10)
     T_base_object, T_base_sensor = poses(2, rng)
     C, creep = covariance(STD, rng), covariance(STD, rng)
-    later = PoseFilter.known(T_base_object, C).predict(creep)
-    for found, expected in zip(
-        later.view_from(T_base_sensor, GEL),
-        PoseFilter.known(T_base_object, C + creep).view_from(T_base_sensor, GEL),
-        strict=True,
-    ):
+    later, uncertain = PoseFilter.known(T_base_object, C).predict(creep), PoseFilter.known(T_base_object, C + creep)
+    for found, expected in zip(*(one.view_from(T_base_sensor, GEL) for one in (later, uncertain)), strict=True):
         assert np.allclose(found, expected, rtol=1e-9, atol=1e-15)
 
 
@@ -125,8 +122,7 @@ def test_the_first_touch_keeps_its_pose_and_covariance():
     C = covariance(STD, rng)
     T, found = PoseFilter.of_touch(seen_pose(T_base_sensor, T_sensor_object, C)).view_from(T_base_sensor, GEL)
     assert np.allclose(T, T_sensor_object)
-    assert np.allclose(found / np.sqrt(np.outer(np.diag(C), np.diag(C))),
-                       C / np.sqrt(np.outer(np.diag(C), np.diag(C))), atol=1e-3)  # fmt: skip
+    assert np.allclose(scaled(found, C), scaled(C, C), atol=1e-3)
 
 
 def test_a_repeated_touch_keeps_its_common_error():
@@ -202,9 +198,8 @@ def test_the_covariance_is_right_for_correlated_errors():
             reported = true_T_base_sensor @ about(GEL, np.sqrt(np.diag(SENSOR)) * sensor)
             seen = seen_pose(reported, move(T, error), C)
             filtered = PoseFilter.of_touch(seen) if filtered is None else filtered.update(seen, share)
-            common, sensor = (
-                (1 - share) * old + np.sqrt(1 - (1 - share) ** 2) * rng.normal(size=6) for old in (common, sensor)
-            )
+            fresh = np.sqrt(1 - (1 - share) ** 2)
+            common, sensor = ((1 - share) * old + fresh * rng.normal(size=6) for old in (common, sensor))
         found, P = filtered.view_from(reported, GEL)
         e = compute_pose_errors(T, found)
         nees.append(e @ np.linalg.solve(P, e))

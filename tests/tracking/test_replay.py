@@ -23,7 +23,7 @@ from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.tracking.replay import Replay, ReplaySummary
 from tactile_loc.tracking.replay_files import ReplayOutput, locate_each_to, replay_to
-from tactile_loc.tracking.replay_journal import open_journal
+from tactile_loc.tracking.replay_journal import VERSION, open_journal
 
 S = 1_000_000_000
 FIRST, LAST = (make_transform(rotation_about([0, 0, 1], yaw), [x, 0, 0.1]) for x, yaw in ((0.0, 0.0), (0.3, 0.6)))
@@ -41,10 +41,11 @@ def touches(localizer) -> list[Touch]:
     return localizer.simulate(3, seed=1)
 
 
-def write_images(path: Path, images: list[np.ndarray]) -> Path:
+def write_images(path: Path, images: list[np.ndarray], before=lambda writer: None, stamps_s=range(9)) -> Path:
     def write(writer: RecordingWriter) -> None:
-        for k, image in enumerate(images):
-            writer.write("/gel/image", IMAGE, make_image(image, "32FC1", k * S, "gel"), k * S + 5)
+        before(writer)
+        for k, (image, stamp_s) in enumerate(zip(images, stamps_s, strict=False)):
+            writer.write("/gel/image", IMAGE, make_image(image, "32FC1", stamp_s * S, "gel"), k * S + 5)
 
     return write_recording(path, write)
 
@@ -52,21 +53,14 @@ def write_images(path: Path, images: list[np.ndarray]) -> Path:
 @pytest.fixture
 def recorded(tmp_path, touches) -> Path:
     """Three touches, then no contact, then an impossible image, then a touch after the last transform."""
-    images = [
-        *(touch.contact_shape.depth_m for touch in touches),
-        NOTHING,
-        UPSIDE_DOWN,
-        touches[0].contact_shape.depth_m,
-    ]
+    depths = [touch.contact_shape.depth_m for touch in touches]
 
-    def write(writer: RecordingWriter) -> None:
+    def move(writer: RecordingWriter) -> None:
         writer.write("/tf_static", TF, make_transforms({("flange", "gel"): MOUNT}, 0), 0)
         for stamp, T in ((0, FIRST), (4 * S, LAST)):
             writer.write("/tf", TF, make_transforms({("base", "flange"): T}, stamp), stamp)
-        for k, image in enumerate(images):
-            writer.write("/gel/image", IMAGE, make_image(image, "32FC1", k * S, "gel"), k * S + 5)
 
-    return write_recording(tmp_path / "drive.mcap", write)
+    return write_images(tmp_path / "drive.mcap", [*depths, NOTHING, UPSIDE_DOWN, depths[0]], move)
 
 
 def replay_of(path: Path, localizer: Localizer, base: str | None = None, frame: str | None = None) -> Replay:
@@ -132,12 +126,13 @@ def test_poses_are_written_after_their_images_or_alone(recorded, localizer, tmp_
     replay = replay_of(recorded, localizer)
     replay_to(tmp_path / "all.mcap", replay, 6, "/pose", estimator=at_truth)
     replay_to(tmp_path / "alone.mcap", replay, 6, "/pose", poses_only=True, estimator=at_truth)
-    before = [(m.topic, m.log_time_ns, m.data) for m in Recording(recorded).read_messages()]
-    written = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "all.mcap").read_messages()]
+    before, written, alone = (
+        [(m.topic, m.log_time_ns, m.data) for m in Recording(path).read_messages()]
+        for path in (recorded, tmp_path / "all.mcap", tmp_path / "alone.mcap")
+    )
     poses = [one for one in written if one[0].name == "/pose"]
     verdicts = [one for one in written if one[0].name == "/object/verdict"]
     assert [one for one in written if one not in poses and one not in verdicts] == before
-    alone = [(m.topic, m.log_time_ns, m.data) for m in Recording(tmp_path / "alone.mcap").read_messages()]
     assert alone == [one for one in written if one in poses or one in verdicts]
     decoded = [m.decode().data for m in Recording(tmp_path / "alone.mcap").read_messages("/object/verdict")]
     assert decoded == ["ambiguous"] * 3 + ["no contact", "ambiguous"]  # the refused image has none
@@ -165,15 +160,14 @@ def test_missing_frames_give_an_error_at_once(recorded, localizer):
 def test_finished_frames_are_not_located_again(recorded, localizer, tmp_path, located, finished):
     calls = []
 
-    def interrupted(touch: Touch) -> LocatedFrame:
-        if len(calls) == located:
-            raise KeyboardInterrupt
-        calls.append(touch)
-        return at_truth(touch)
-
     def counting(touch: Touch) -> LocatedFrame:
         calls.append(touch)
         return at_truth(touch)
+
+    def interrupted(touch: Touch) -> LocatedFrame:
+        if len(calls) == located:
+            raise KeyboardInterrupt
+        return counting(touch)
 
     out, replay = tmp_path / "out.mcap", replay_of(recorded, localizer)
     whole = replay_to(tmp_path / "whole.mcap", replay, 6, "/pose", estimator=at_truth)
@@ -235,25 +229,19 @@ def test_a_full_disk_leaves_a_journal_of_complete_lines(recorded, localizer, tmp
         assert list_json(kept.records) == list_json([first])
 
 
-def test_the_journal_of_another_replay_is_not_used(recorded, localizer, tmp_path, caplog):
-    path = tmp_path / "out.mcap.journal"
-    with open_journal(path, replay_of(recorded, localizer)) as kept:
-        kept.append(next(replay_of(recorded, localizer).frames(at_truth)))
-    found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
-    assert found.resumed == 0
-    assert str(path) in caplog.text
-
-
-def test_a_journal_of_an_older_version_is_replaced(recorded, localizer, tmp_path, monkeypatch, caplog):
+@pytest.mark.parametrize(("base", "version", "reason"), [("base", VERSION, ""), (None, 1, "another version")])
+def test_the_journal_of_another_replay_or_version_is_replaced(
+    recorded, localizer, tmp_path, monkeypatch, caplog, base, version, reason
+):
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
     with monkeypatch.context() as patch:
-        patch.setattr("tactile_loc.tracking.replay_journal.VERSION", 1)
+        patch.setattr("tactile_loc.tracking.replay_journal.VERSION", version)
         with open_journal(path, replay) as kept:
             kept.append(next(replay.frames(at_truth)))
-    found = replay_to(tmp_path / "out.mcap", replay, 6, "/pose", estimator=at_truth)
+    found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer, base), 6, "/pose", estimator=at_truth)
     assert found.resumed == 0
     assert len(caplog.records) == 1
-    assert not missing(caplog.text, path, "another version")
+    assert not missing(caplog.text, path, reason)
 
 
 def test_frames_that_are_not_found_are_counted_separately(recorded, localizer, tmp_path):
@@ -277,21 +265,14 @@ def test_frames_that_are_not_found_are_counted_separately(recorded, localizer, t
 
 def test_two_processes_cannot_write_the_same_journal(recorded, localizer, tmp_path):
     replay, path = replay_of(recorded, localizer), tmp_path / "out.mcap.journal"
-    with (
-        open_journal(path, replay),
-        pytest.raises(OutputError, match=naming("process", "out.mcap.journal", "`out`")),
-        open_journal(path, replay),
-    ):
+    refused = pytest.raises(OutputError, match=naming("process", "out.mcap.journal", "`out`"))
+    with open_journal(path, replay), refused, open_journal(path, replay):
         pass
 
 
 def test_backward_steps_of_the_clock_are_counted(tmp_path, localizer, touches):
-    def write(writer: RecordingWriter) -> None:
-        for k, stamp in enumerate((10, 11, 2, 3)):
-            depth = touches[0].contact_shape.depth_m
-            writer.write("/gel/image", IMAGE, make_image(depth, "32FC1", stamp * S, "gel"), k)
-
-    path = write_recording(tmp_path / "drive.mcap", write)
+    images = [touches[0].contact_shape.depth_m] * 4
+    path = write_images(tmp_path / "drive.mcap", images, stamps_s=(10, 11, 2, 3))
     records = list(replay_of(path, localizer).frames(at_truth))
     assert [record.stamp_ns for record in records] == [10 * S, 11 * S, 2 * S, 3 * S]
     assert ReplaySummary.of(records).jumps_back == 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from track_settings import SETTINGS
@@ -63,12 +65,10 @@ def test_a_slip_is_found_among_the_poses_nearby(modes, source, touch, head):
     poses, _ = head.scene.bring_to_contact(slipped[None])
     press_m = touch.indentation_m
     seen = source.draw_touch(lower(poses, np.array([press_m]))[0], press_m, "slipped", np.random.default_rng(0))
-    seen = type(seen)(seen.contact_shape, seen.geometry, T_base_sensor=touch.T_base_sensor,
-                      T_sensor_object=seen.T_sensor_object)  # fmt: skip
+    seen = replace(seen, T_base_sensor=touch.T_base_sensor)
     found = modes.find_slipped(before, seen, 1.0)
-    far_m = PoseMetric(head.object).symmetric_distance(
-        np.stack([one.T_sensor_object for one in found]), np.stack([seen.T_sensor_object] * len(found))
-    )
+    truth = np.stack([seen.T_sensor_object] * len(found))
+    far_m = PoseMetric(head.object).symmetric_distance(np.stack([one.T_sensor_object for one in found]), truth)
     assert far_m.min() < 1e-3
     assert found[0].imprint_iou > modes.explain(before, [seen])[0] + 0.05
 
