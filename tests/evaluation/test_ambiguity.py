@@ -58,11 +58,9 @@ def plates(store, make_object) -> dict[str, Localizer]:
     plate = trimesh.creation.box((0.017, 0.006, 0.004))
     corner = trimesh.creation.box((0.004, 0.004, 0.02), make_transform(np.eye(3), [0.0085, 0.003, 0.0]))
     notched = trimesh.boolean.difference([plate, corner], engine="manifold")
-    objects = {
-        "symmetric": make_object(plate, "z2*x2", "plate"), "alike": make_object(plate, "none", "plate"),
-        "notched": make_object(notched, "none", "notched"),
-    }  # fmt: skip
-    return {name: Localizer(SETTINGS, obj, store) for name, obj in objects.items()}
+    objects = {"symmetric": (plate, "z2*x2", "plate"), "alike": (plate, "none", "plate")}
+    objects["notched"] = (notched, "none", "notched")
+    return {name: Localizer(SETTINGS, make_object(*about), store) for name, about in objects.items()}
 
 
 def touch_at(localizer: Localizer, x_m: float, yaw_rad: float = 0.3) -> Touch:

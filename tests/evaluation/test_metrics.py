@@ -147,8 +147,7 @@ def test_the_surface_distance_is_zero_for_the_true_pose_and_its_equivalents(cyli
 
 def test_the_surface_distance_of_a_small_shift_is_that_along_the_normals(box, true_pose):
     shifted = true_pose @ make_translation([1e-4, 0, 0])  # the faces across x move by 0.1 mm, the others slide
-    areas = np.array([box.mesh.extents_m[1] * box.mesh.extents_m[2], box.mesh.extents_m[0] * box.mesh.extents_m[2],
-                      box.mesh.extents_m[0] * box.mesh.extents_m[1]])  # fmt: skip
+    areas = box.mesh.extents_m.prod() / box.mesh.extents_m
     expected_m = 1e-4 * areas[0] / areas.sum()
     assert compute_surface_distances(box, shifted[None], true_pose) == pytest.approx(expected_m, rel=0.1)
 

@@ -110,8 +110,8 @@ def test_errors_are_grouped_by_contact_area(runs, written, document):
     areas = document["runs"][0]["contact_areas"]
     assert sum(area["touches"] for area in areas) == len(shares)
     some = errors_m[(shares >= 0.05) & (shares < 0.15)]
-    assert areas[3] == {"from": 0.05, "to": 0.15, "touches": len(some), "median_m": np.median(some),
-                        "within_1_mm": (some < 1e-3).mean()}  # fmt: skip
+    measured = {"touches": len(some), "median_m": np.median(some), "within_1_mm": (some < 1e-3).mean()}
+    assert areas[3] == {"from": 0.05, "to": 0.15, **measured}
     row = first_row(paper_tables.tabulate_areas(document["runs"]))
     assert row["5 to 15 %"] == f"{format_mm(np.median(some))}, {100 * (some < 1e-3).mean():.0f} % ({len(some)})"
     assert row["refused"] == "66"

@@ -30,18 +30,17 @@ def table() -> ExampleTable:
     return ExampleTable.join(make_touch_table(*about) for about in names)
 
 
-def shown(axes) -> bool:
-    return bool(axes.axison)
+def panels(figure):
+    return [axes for axes in figure.axes if axes.axison]
 
 
 def test_violins_have_a_panel_for_each_object_and_a_colour_for_each_encoder(table, tmp_path):
     figure = draw_violins(table, "the title")
-    panels = [axes for axes in figure.axes if shown(axes)]
-    assert [axes.get_title().split()[0] for axes in panels] == ["pin", "hook"]
-    assert all("mm" in axes.get_title() for axes in panels)
+    assert [axes.get_title().split()[0] for axes in panels(figure)] == ["pin", "hook"]
+    assert all("mm" in axes.get_title() for axes in panels(figure))
     assert figure._suptitle.get_text() == "the title"
-    assert "ADD" in panels[0].get_ylabel()
-    for axes in panels:
+    assert "ADD" in panels(figure)[0].get_ylabel()
+    for axes in panels(figure):
         labels = [label.get_text() for label in axes.get_xticklabels()]
         assert labels == [line.capitalize() for line in DRAWN]
         assert len(axes.collections) == 2 * 2 * len(DRAWN)  # a violin and a bar for each line and encoder
@@ -124,10 +123,6 @@ def test_many_runs_have_different_lines(tmp_path):
     figure = draw_reliability(ExampleTable.join(tables), "title")
     styles = {(line.get_color(), line.get_marker()) for line in figure.axes[1].lines}
     assert len(styles) == 8
-
-
-def panels(figure):
-    return [axes for axes in figure.axes if axes.axison]
 
 
 def test_each_object_has_a_panel_with_medians_and_quartiles(tmp_path):

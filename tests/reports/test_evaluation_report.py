@@ -99,9 +99,11 @@ def test_a_wrong_file_gives_a_one_sentence_error(fixture, request, tmp_path):
     (path,) = (path for path in folder.glob("*.json"))
     document = json.loads(path.read_text())
     for changed, says in (
-        ({"schema_version": 9}, "9"), ({"runs": []}, "run"), ({"runs": None}, "run"),
-        ({"protocol": {}}, "'(touches|examples)'"), ({"runs": [{"object": "a"}]}, "encoder"),
-    ):  # fmt: skip
+        ({"schema_version": 9}, "9"),
+        *(({"runs": runs}, "run") for runs in ([], None)),
+        ({"protocol": {}}, "'(touches|examples)'"),
+        ({"runs": [{"object": "a"}]}, "encoder"),
+    ):
         path.write_text(json.dumps({**document, **changed}))
         with pytest.raises(ResultError, match=f"{path.name}.*{says}"):
             page_in(folder)

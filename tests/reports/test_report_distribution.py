@@ -33,6 +33,13 @@ def rod() -> TriangleMesh:
     return surface(trimesh.creation.cylinder(0.004, 0.060, sections=48))
 
 
+@pytest.fixture
+def centre(flat_camera) -> np.ndarray:
+    """The middle of the sensor's surface, in metres."""
+    x0, x1, y0, y1 = flat_camera.rectangle
+    return np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
+
+
 def test_a_refined_surface_has_the_same_shape_and_no_long_edges(rod):
     fine = split_long_edges(rod, 0.002)
     a, b, c = np.moveaxis(fine.triangles_m, 1, 0)
@@ -54,10 +61,8 @@ def test_vertices_of_a_ball_have_its_areas_and_normals():
     assert (compute_vertex_normals(ball) * outwards).sum(axis=1).min() > 0.999
 
 
-def test_the_probability_sums_to_one_and_lies_under_the_sensor(rod, flat_camera):
+def test_the_probability_sums_to_one_and_lies_under_the_sensor(rod, flat_camera, centre):
     """In all poses, the same point of the rod is above the sensor's centre."""
-    x0, x1, y0, y1 = flat_camera.rectangle
-    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     touched = np.array([0.004, 0.0, 0.013])
     R = draw_rotations(50, np.random.default_rng(0))
     T = make_transform(R, centre - R @ touched)
@@ -70,29 +75,23 @@ def test_the_probability_sums_to_one_and_lies_under_the_sensor(rod, flat_camera)
     assert away[found.density.argmax()] < 0.002
 
 
-def test_two_places_share_the_probability_by_their_weights(rod, flat_camera):
-    x0, x1, y0, y1 = flat_camera.rectangle
-    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
+def test_two_places_share_the_probability_by_their_weights(rod, flat_camera, centre):
     places = np.array([[0.004, 0.0, 0.02], [0.004, 0.0, -0.02]])
     T = make_transform(np.broadcast_to(np.eye(3), (2, 3, 3)), centre - places)
     found = spread_over_surface(rod, T, np.array([0.8, 0.2]), flat_camera, 0.001)
     assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.8)
 
 
-def test_the_back_of_a_thin_wall_gets_no_probability(flat_camera):
+def test_the_back_of_a_thin_wall_gets_no_probability(flat_camera, centre):
     plate = surface(trimesh.creation.box((0.03, 0.03, 0.0005)))
-    x0, x1, y0, y1 = flat_camera.rectangle
-    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     T = make_transform(np.eye(3), centre - [0.001, 0.002, -0.00025])[None]  # on its lower side
     found = spread_over_surface(plate, T, np.ones(1), flat_camera, 0.002)
     assert found.mass.sum() == pytest.approx(1.0)
     assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.0, abs=1e-12)
 
 
-def test_uniform_weights_give_a_uniform_density(flat_camera):
+def test_uniform_weights_give_a_uniform_density(flat_camera, centre):
     plate = surface(trimesh.creation.box((0.04, 0.04, 0.01)))
-    x0, x1, y0, y1 = flat_camera.rectangle
-    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
     x, y = (v.ravel() for v in np.meshgrid(*[np.linspace(-0.019, 0.019, 39)] * 2))
     T = make_transform(np.eye(3), centre - np.column_stack([x, y, np.full(len(x), -0.005)]))
     found = spread_over_surface(plate, T, np.full(len(x), 1 / len(x)), flat_camera, 0.002)
@@ -100,9 +99,7 @@ def test_uniform_weights_give_a_uniform_density(flat_camera):
     assert found.density[inside] == pytest.approx(1 / 0.04**2, rel=0.25)
 
 
-def test_the_nearest_point_is_searched_in_the_object_frame(rod, flat_camera):
-    x0, x1, y0, y1 = flat_camera.rectangle
-    centre = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
+def test_the_nearest_point_is_searched_in_the_object_frame(rod, flat_camera, centre):
     (R,) = draw_rotations(1, np.random.default_rng(5))
     for vertex in (0, 7, 30):
         T = make_transform(R, centre - R @ (rod.vertices_m[vertex] * 1.0))

@@ -64,10 +64,8 @@ def test_each_varying_slot_has_a_panel():
 
 
 def test_a_sweep_without_varying_results_has_no_figures():
-    assert (
-        draw_effects(make_sweep({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0, "total_ms": 1.0}), "chosen")
-        is None
-    )
+    single = make_sweep({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0, "total_ms": 1.0})
+    assert draw_effects(single, "chosen") is None
     failed = make_sweep({"object": "pin", "refiner": ["none", "icp"]}, lambda one: "bad")
     assert draw_effects(failed, "chosen") is None
     assert draw_error_time(failed, "chosen") is None
@@ -99,12 +97,6 @@ def test_labels_do_not_overlap():
 
 
 BASE_MM = {"none": 4.0, "icp": 1.0, "filterreg": 0.5}
-FACTORS = {
-    "object": ["pin", "head"],
-    "refiner": list(BASE_MM),
-    "option": ["encoder.cells=12,20"],
-    "noise": ["none", "mild"],
-}
 
 
 def product(one) -> dict[str, float]:
@@ -118,7 +110,7 @@ def product(one) -> dict[str, float]:
 
 
 def test_effects_equal_the_factors_of_a_product():
-    found = compute_effects(make_sweep(FACTORS, product), "chosen")
+    found = compute_effects(make_sweep(VALUES, product), "chosen")
     assert set(found) == {"encoder", "refiner"}
     refiners = {name: np.exp(logs) for name, logs in found["refiner"].items()}
     mean = 2.0 ** (1 / 3)  # geometric mean of 4, 1 and 0.5
@@ -131,13 +123,13 @@ def test_a_failure_removes_its_group_from_the_effect():
     def failing(one):
         return "bad" if one.object == "head" and one.config.refiner.name == "icp" else product(one)
 
-    found = compute_effects(make_sweep(FACTORS, failing), "chosen")
+    found = compute_effects(make_sweep(VALUES, failing), "chosen")
     assert {len(logs) for logs in found["refiner"].values()} == {4}
     assert {len(logs) for logs in found["encoder"].values()} == {10}
 
 
 def test_points_are_geometric_means_over_objects():
-    sweep = make_sweep(FACTORS, product)
+    sweep = make_sweep(VALUES, product)
     first = list_points(sweep, "chosen", "mild")[0]
     assert first.label == "pixel cells=12 + none"
     assert first.error_mm == pytest.approx(4 * 2 * 3 * 3)
@@ -147,23 +139,22 @@ def test_points_are_geometric_means_over_objects():
 
 def test_a_point_needs_results_of_all_objects():
     sweep = make_sweep(
-        FACTORS, lambda one: "bad" if one.place[0] == 1 and one.config.refiner.name == "icp" else product(one)
+        VALUES, lambda one: "bad" if one.place[0] == 1 and one.config.refiner.name == "icp" else product(one)
     )
     assert [p.label.split()[-1] for p in list_points(sweep, "chosen", "none")] == ["none", "filterreg"] * 2
 
 
 def test_cells_are_means_over_seeds():
     sweep = make_sweep(
-        {**FACTORS, "seed": [0, 1, 2]}, lambda one: {**product(one), "chosen_median_mm": float(one.config.seed)}
+        {**VALUES, "seed": [0, 1, 2]}, lambda one: {**product(one), "chosen_median_mm": float(one.config.seed)}
     )
     found = sweep.compute_medians("chosen")
     assert {(one.error_mm, one.time_ms) for one in found} == {(1.0, 20.0), (1.0, 80.0)}
 
 
 def test_the_pareto_front_holds_the_points_that_no_point_beats():
-    found = [Point(str(i), (i,), error, time) for i, (time, error) in enumerate(
-        [(1, 9), (2, 5), (2, 6), (3, 5), (4, 2), (9, 3), (9, 1)]
-    )]  # fmt: skip
+    placed = [(1, 9), (2, 5), (2, 6), (3, 5), (4, 2), (9, 3), (9, 1)]
+    found = [Point(str(i), (i,), error, time) for i, (time, error) in enumerate(placed)]
     assert [p.label for p in find_pareto_front(found)] == ["0", "1", "4", "6"]
     for p in found:
         beaten = any(q.error_mm <= p.error_mm and q.time_ms <= p.time_ms and q != p for q in found)

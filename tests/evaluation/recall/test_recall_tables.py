@@ -33,8 +33,8 @@ def test_groups_join_seeds_and_then_all_objects(runs):
     groups = tables.group_answers(join_runs([*runs, runs[0]]))  # as a second seed
     labels = [(name, noise, touches, len(some)) for (name, _, noise, touches), some in groups.items()]
     assert labels[:2] == [("pin", "none", 1, 24), ("pin", "none", 3, 24)]
-    assert labels[-4:] == [("all", "none", 1, 36), ("all", "none", 3, 36), ("all", "strong", 1, 24),
-                           ("all", "strong", 3, 24)]  # fmt: skip
+    noises = (("none", 36), ("strong", 24))
+    assert labels[-4:] == [("all", noise, touches, count) for noise, count in noises for touches in (1, 3)]
     assert {name for name, *_ in tables.group_answers(join_runs(runs[:2]))} == {"pin"}
 
 
@@ -96,9 +96,8 @@ def test_bop_truth_has_each_example_whose_first_touch_can_be_read(table):
 
 def test_bop_files_are_one_for_each_number_of_touches(table, tmp_path):
     written = write_bop(tmp_path, make_scenes(table))
-    assert [path.name for path in written] == [
-        "ids.json", "tactile-loc-1-touches_evaluation-test.csv", "tactile-loc-3-touches_evaluation-test.csv"
-    ]  # fmt: skip
+    tables = [f"tactile-loc-{touches}-touches_evaluation-test.csv" for touches in (1, 3)]
+    assert [path.name for path in written] == ["ids.json", *tables]
     ids = json.loads(written[0].read_text())
     assert ids["objects"] == {"pin": 1, "hook": 2}
     assert (tmp_path / "bop" / "test" / "000004" / "scene_gt.json").is_file()

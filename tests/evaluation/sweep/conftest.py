@@ -7,28 +7,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_helpers import FLAT_SENSOR
 from report_helpers import make_sweep
 
 from tactile_loc.evaluation.sweep.sweep import Sweep
-
-SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 
 
 @pytest.fixture(scope="session")
 def flat_sensor(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The file of a sensor with 80 x 80 pixels, for speed."""
     path = tmp_path_factory.mktemp("sensor") / "flat.toml"
-    path.write_text(SENSOR)
+    path.write_text(FLAT_SENSOR)
     return path
 
 
 @pytest.fixture(scope="session")
 def tiny(flat_sensor: Path) -> dict[str, Any]:
     """Values of a plan whose combinations take about a second."""
-    return {
-        "sensor": [str(flat_sensor)], "option": {"grid": {"spacing_mm": [8]}}, "count": 4, "temperature": 0.01,
-        "shape_px": 32,
-    }  # fmt: skip
+    quick = {"count": 4, "temperature": 0.01, "shape_px": 32}
+    return {"sensor": [str(flat_sensor)], "option": {"grid": {"spacing_mm": [8]}}, **quick}
 
 
 @pytest.fixture(scope="session")

@@ -55,11 +55,12 @@ def test_equal_inputs_give_equal_keys_and_any_change_gives_another_key(monkeypat
     base = {"object": ["pin"], "refiner": ["icp"], "noise": ["none"], "seed": [0], "count": 4}
     (key,) = keys(base)
     assert keys({**base, "refiner": [{"name": "icp", "max_iterations": 20}]}) == [key]  # the default
+    single = {"noise": ["mild"], "seed": [1], "count": 5, "shape_px": 32, "temperature": 0.1, "drawing": "paper"}
     changes = [
-        {"object": ["head"]}, {"object": [{"path": "pin", "symmetry": "none"}]}, {"refiner": ["none"]},
-        {"refiner": [{"name": "icp", "max_iterations": 7}]}, {"noise": ["mild"]}, {"seed": [1]}, {"count": 5},
-        {"shape_px": 32}, {"temperature": 0.1}, {"drawing": "paper"},
-    ]  # fmt: skip
+        *({"object": [one]} for one in ("head", {"path": "pin", "symmetry": "none"})),
+        *({"refiner": [one]} for one in ("none", {"name": "icp", "max_iterations": 7})),
+        *({name: value} for name, value in single.items()),
+    ]
     others = [keys({**base, **change})[0] for change in changes]
     assert len({key, *others}) == 1 + len(changes)
     for name, value in (("PROTOCOL_VERSION", 99), ("version", lambda _: "99.0"), ("ROW_VERSION", 99)):
@@ -88,6 +89,8 @@ def test_a_component_of_another_version_makes_another_row(monkeypatch):
     ("values", "kind", "said"),
     [
         ({"object": ["hok"]}, ObjectError, "hok"),
+        ({"object": ["pin", {"path": "pin", "symmetry": "none"}]}, ConfigError, "pin"),
+        ({"object": ["pin"], "grid": ["face", "whole"]}, ConfigError, r"'whole'.*face"),
         ({"object": ["pin"], "sensor": ["none.toml"]}, SensorError, r"none\.toml"),
         ({"object": ["pin"], "sensor": ["gelslm"]}, UnknownPluginError, "gelslm"),
     ],
@@ -95,12 +98,6 @@ def test_a_component_of_another_version_makes_another_row(monkeypatch):
 def test_impossible_combinations_are_refused(values, kind, said):
     with pytest.raises(kind, match=said):
         combine(Plan.from_values(values))
-
-
-def test_two_objects_with_the_same_name_are_refused():
-    plan = Plan.from_values({"object": ["pin", {"path": "pin", "symmetry": "none"}]})
-    with pytest.raises(module.ConfigError, match="pin"):
-        combine(plan)
 
 
 VALUES = {"object": "pin", "noise": "none", "count": 1}
@@ -139,24 +136,18 @@ def test_the_planned_keys_equal_the_built_keys(tmp_path, tiny, encoder, temperat
 def test_shared_stages_count_once(tmp_path, tiny):
     values = {**tiny, "object": ["pin", "head"], "renderer": ["raycast", "heightmap"], "refiner": ["none", "icp"]}
     combinations, objects = combine(Plan.from_values({**values, "temperature": 0.1}))
-    assert find_missing_stages(combinations, objects, tmp_path) == {
-        "grid": 2, "shapes": 4, "encoder": 0, "bank": 4, "temperature": 0, "evaluation": 8,
-    }  # fmt: skip
+    expected = {"grid": 2, "shapes": 4, "encoder": 0, "bank": 4, "temperature": 0, "evaluation": 8}
+    assert find_missing_stages(combinations, objects, tmp_path) == expected
 
 
 def test_incompatible_components_are_refused_during_planning(monkeypatch):
     """The error comes before any build; the test invents a rule for two built-in components."""
-    rule = compatibility.Incompatibility(
-        compatibility.Declared("matcher", "top_k_only", True), compatibility.Declared("fuser", "contact_only", True),
-        "they cannot stand each other", "choose others",
-    )  # fmt: skip
+    first, second = (
+        compatibility.Declared(*one, True) for one in (("matcher", "top_k_only"), ("fuser", "contact_only"))
+    )
+    rule = compatibility.Incompatibility(first, second, "they cannot stand each other", "choose others")
     monkeypatch.setattr(compatibility, "INCOMPATIBILITIES", (rule,))
     base = {"object": ["pin"], "matcher": ["dense", "faiss"]}
     assert len(combine(Plan.from_values(base))[0]) == 2
     with pytest.raises(ConfigError, match=r"'faiss' and the fuser 'kinematic'.*cannot stand each other; choose others"):
         combine(Plan.from_values({**base, "fuser": ["product", "kinematic"]}))
-
-
-def test_a_grid_that_lists_no_poses_is_refused_during_planning():
-    with pytest.raises(ConfigError, match=r"'whole'.*face"):
-        combine(Plan.from_values({"object": ["pin"], "grid": ["face", "whole"]}))

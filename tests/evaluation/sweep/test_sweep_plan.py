@@ -28,17 +28,17 @@ def names(plan: Plan, slot: str) -> list[str]:
 def test_an_empty_plan_evaluates_the_defaults():
     plan = Plan.from_values({})
     assert [one.path for one in plan.objects] == list(DEMO_OBJECTS)
-    assert {slot: names(plan, slot) for slot in plan.slots} == {
-        "sensor": ["gelslim"], "renderer": ["heightmap"], "grid": ["face"], "encoder": ["pixel"], "matcher": ["dense"],
-        "refiner": ["joint"], "fuser": ["product"],
-    }  # fmt: skip
+    assert list(plan.slots) == ["sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser"]
+    chosen = [names(plan, slot) for slot in plan.slots]
+    assert chosen == [["gelslim"], ["heightmap"], ["face"], ["pixel"], ["dense"], ["joint"], ["product"]]
     assert (plan.noises, plan.seeds, plan.count) == (("strong",), (0,), 150)
 
 
-def test_values_may_be_single_or_lists_and_duplicates_are_removed():
+def test_values_may_be_single_or_lists_and_duplicates_and_default_values_are_removed():
     plan = Plan.from_values({"object": "pin", "refiner": ["none", "icp", "none"], "seed": [1, "1", 2], "noise": "mild"})
     assert names(plan, "refiner") == ["none", "icp"]
     assert (plan.seeds, plan.noises) == ((1, 2), ("mild",))
+    assert len(Plan.from_values({"encoder": ["pixel", {"name": "pixel", "cells": 20}]}).slots["encoder"]) == 1
 
 
 def test_a_component_may_have_options():
@@ -59,11 +59,6 @@ def test_options_of_several_slots_multiply():
     assert len(plan.slots["grid"]) == 6
     assert {one.options["spacing_mm"] for one in plan.slots["grid"]} == {3.0, 4.0, 5.0}
     assert [one.options["cells"] for one in plan.slots["encoder"]] == [9]
-
-
-def test_a_default_value_gives_no_new_choice():
-    plan = Plan.from_values({"encoder": ["pixel", {"name": "pixel", "cells": 20}]})
-    assert len(plan.slots["encoder"]) == 1
 
 
 def test_a_plan_file_has_a_table_of_options(tmp_path):
@@ -154,16 +149,13 @@ def test_an_option_varies_only_within_a_component():
 
 
 def test_a_label_holds_the_varying_options():
-    assert name_choice(choice("icp", rounds=3, points=9), ["rounds"]) == "icp rounds=3"
-    assert (
-        name_choice(choice("face", spacing_mm=4.0, face="auto"), ["spacing_mm", "face"])
-        == "face spacing_mm=4 face=auto"
-    )
-    assert name_choice(choice("none"), ["rounds"]) == "none"
-    assert (
-        name_choice(choice("file", path="/far/away/mine.toml", flat=True), ["path", "flat"])
-        == "file path=mine.toml flat=true"
-    )
+    for chosen, varying, label in (
+        (choice("icp", rounds=3, points=9), ["rounds"], "icp rounds=3"),
+        (choice("face", spacing_mm=4.0, face="auto"), ["spacing_mm", "face"], "face spacing_mm=4 face=auto"),
+        (choice("none"), ["rounds"], "none"),
+        (choice("file", path="/far/away/mine.toml", flat=True), ["path", "flat"], "file path=mine.toml flat=true"),
+    ):
+        assert name_choice(chosen, varying) == label
 
 
 @pytest.mark.parametrize(
@@ -180,10 +172,7 @@ def test_a_label_holds_the_varying_options():
 )
 def test_values_are_split_at_commas_outside_brackets_and_quotes(text, parts):
     assert split_values(text) == parts
-
-
-def test_a_flag_may_be_repeated():
-    assert split_all(["none,icp", "render"]) == ["none", "icp", "render"]
+    assert split_all([text, "render"]) == [*parts, "render"], "a flag may be repeated"
 
 
 def test_repeated_options_add_their_values():

@@ -61,6 +61,13 @@ def errors(swept: Sweep) -> dict[tuple[str, str], str]:
     return {(row["object"], row["refiner"]): row["error"] for row in swept.rows}
 
 
+def assert_built_once(swept: Sweep) -> None:
+    """No stage was built twice, and the evaluations are those of four combinations of two objects."""
+    built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
+    assert set(built.values()) == {1}
+    assert (swept.built["grid"], swept.built["shapes"], swept.built["evaluation"]) == (2, 2, 4)
+
+
 @pytest.mark.slow
 def test_a_failed_combination_has_a_row_and_is_tried_again(tiny, folder, tmp_path):
     refiners = ["none", "raising", "grumbling", "telling"]
@@ -84,9 +91,7 @@ def test_a_killed_local_worker_costs_only_time(tiny, folder, tmp_path):
     swept = sweep(tiny, ["none", lethal], tmp_path / "out", tmp_path / "store")
     assert (tmp_path / "tally").read_text() == "x"
     assert set(errors(swept).values()) == {""}
-    built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
-    assert set(built.values()) == {1}
-    assert (swept.built["grid"], swept.built["shapes"], swept.built["evaluation"]) == (2, 2, 4)
+    assert_built_once(swept)
 
 
 @pytest.mark.slow
@@ -146,9 +151,7 @@ def test_a_killed_dask_worker_costs_only_time(tiny, tmp_path, cluster):
     assert (tmp_path / "tally").read_text() == "x"
     assert errors(swept)["pin", "lethal"] == errors(swept)["head", "lethal"] == ""
     assert errors(swept)["pin", "raising"] == "ValueError: nothing works at all"
-    built = Counter(name for row in swept.rows for name in json.loads(row["built"]))
-    assert set(built.values()) == {1}
-    assert (swept.built["grid"], swept.built["shapes"], swept.built["evaluation"]) == (2, 2, 4)
+    assert_built_once(swept)
 
 
 @pytest.mark.slow
@@ -227,9 +230,6 @@ def test_a_summary_has_errors_in_mm_and_shares_and_times_in_ms():
     assert found["total_ms"] == 19  # the median of 10, 46 and 19, not the sum of medians
     assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [1, 1, 1]
     assert (found["nll_nats"], found["grid_poses"]) == (0.4, 7)
-
-
-def test_infinite_values_are_missing():
     found = summarise(make_table(nll_nats=np.inf, credible_level=0.9))
-    assert found["nll_nats"] is None
+    assert found["nll_nats"] is None, "an infinite value is missing"
     assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [0, 0, 1]
