@@ -222,21 +222,18 @@ def test_each_fault_of_a_folder_is_one_sentence(cli, presses, what):
     assert not Path("mine").exists()
 
 
-def test_a_missing_folder_is_refused(cli):
-    assert_refused(cli("calibrate", "none", *FEW), "none", "folder")
-
-
 @pytest.mark.parametrize(
-    ("option", "words"),
+    ("words", "said"),
     [
-        ("stepz=3", ("'photometric'", "'stepz'", "'steps'")),
-        ("steps=many", ("steps", "'many'", "whole number")),
-        ("steps=0", ("'photometric'", "steps", "0")),
-        ("steps", ("steps", "OPTION=VALUE")),
+        (["none"], ("none", "folder")),
+        (["presses", "-o", "stepz=3"], ("'photometric'", "'stepz'", "'steps'")),
+        (["presses", "-o", "steps=many"], ("steps", "'many'", "whole number")),
+        (["presses", "-o", "steps=0"], ("'photometric'", "steps", "0")),
+        (["presses", "-o", "steps"], ("steps", "OPTION=VALUE")),
     ],
 )
-def test_a_wrong_estimator_option_is_refused(cli, presses, option, words):
-    assert_refused(cli("calibrate", presses, "-o", option, "--out", "mine"), *words)
+def test_a_missing_folder_or_a_wrong_estimator_option_is_refused(cli, presses, words, said):
+    assert_refused(cli("calibrate", *words, "--out", "mine"), *said)
     assert not Path("mine").exists()
 
 

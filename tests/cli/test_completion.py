@@ -37,42 +37,37 @@ def bash(words: str) -> set[str]:
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("slot", ["sensor", "renderer", "refiner"])
-def test_component_names_are_completed(slot):
-    assert bash(f"tactile-loc run --{slot} ") == set(registry().names(slot))
+@pytest.mark.parametrize(
+    ("words", "completions"),
+    [
+        *((f"run --{slot} ", registry().names(slot)) for slot in ("sensor", "renderer", "refiner")),
+        ("run --renderer r", {"raycast"}),
+        ("evaluate --encoder pixel --encoder mo", {"moco"}),
+        ("run --sensor ./", ()),  # the shell offers files
+        ("evaluate --object ", DEMO_OBJECTS),
+        ("plugins ", registry().kinds),
+        ("plugins grid ", registry().names("grid")),
+        ("plugins nonsense ", ()),
+        ("ev", {"evaluate"}),
+        ("store ", {"list", "size", "prune"}),
+        ("run --noise ", {"none", "mild", "strong"}),
+    ],
+)
+def test_names_commands_and_choices_are_completed(words, completions):
+    assert bash(f"tactile-loc {words}") == set(completions)
 
 
-def test_a_typed_beginning_narrows_the_completions():
-    assert bash("tactile-loc run --renderer r") == {"raycast"}
-    assert bash("tactile-loc evaluate --encoder pixel --encoder mo") == {"moco"}
-    assert bash("tactile-loc run --sensor ./") == set()  # the shell offers files
-
-
-def test_demo_objects_are_completed():
-    assert bash("tactile-loc evaluate --object ") == set(DEMO_OBJECTS)
-
-
-def test_slots_and_their_components_are_completed():
-    assert bash("tactile-loc plugins ") == set(registry().kinds)
-    assert "run" in bash("tactile-loc plugins command ")
-    assert bash("tactile-loc plugins grid ") == set(registry().names("grid"))
-    assert bash("tactile-loc plugins nonsense ") == set()
-
-
-def test_commands_options_and_choices_are_completed():
-    assert bash("tactile-loc ev") == {"evaluate"}
-    assert bash("tactile-loc store ") == {"list", "size", "prune"}
+def test_options_and_commands_as_components_are_completed():
     assert "--json" in bash("tactile-loc objects --")
-    assert bash("tactile-loc run --noise ") == {"none", "mild", "strong"}
+    assert "run" in bash("tactile-loc plugins command ")
 
 
 def test_zsh_and_fish_get_descriptions_of_names():
     typed = {"_TYPER_COMPLETE_ARGS": "tactile-loc run --object "}
     zsh = ask(command(), **typed, _TACTILE_LOC_COMPLETE="complete_zsh")
     assert re.search(r'"pin":"\w', zsh)
-    fish = ask(
-        command(), **typed, _TACTILE_LOC_COMPLETE="complete_fish", _TYPER_COMPLETE_FISH_ACTION="get-args"
-    ).splitlines()
+    as_fish = {"_TACTILE_LOC_COMPLETE": "complete_fish", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    fish = ask(command(), **typed, **as_fish).splitlines()
     assert [line.split("\t")[0] for line in fish] == list(DEMO_OBJECTS)  # one line per name
     assert all(line.split("\t")[1] for line in fish)
 
@@ -80,10 +75,9 @@ def test_zsh_and_fish_get_descriptions_of_names():
 @pytest.mark.parametrize("words", ["run --refiner ", "run --object ", "plugins grid ", "pl"])
 def test_completion_imports_no_heavy_library(words):
     typed = {"COMP_WORDS": f"tactile-loc {words}", "COMP_CWORD": str(len(words.split(" ")))}
-    done = subprocess.run(
-        [sys.executable, "-c", PROBE], capture_output=True, text=True, timeout=HANGS_S,
-        env={**os.environ, **typed, "_TACTILE_LOC_COMPLETE": "complete_bash"},
-    )  # fmt: skip
+    environment = {**os.environ, **typed, "_TACTILE_LOC_COMPLETE": "complete_bash"}
+    line = [sys.executable, "-c", PROBE]
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=HANGS_S)
     code, modules = json.loads(done.stderr)
     assert (code, bool(done.stdout)) == (0, True)
     assert HEAVY & set(modules) == set()

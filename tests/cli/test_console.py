@@ -11,11 +11,12 @@ def test_a_note_is_shown_beside_the_running_bar(monkeypatch):
 
     shown = []
     update = rich.progress.Progress.update
-    monkeypatch.setattr(
-        rich.progress.Progress,
-        "update",
-        lambda self, *a, **k: (shown.append(k.get("description")), update(self, *a, **k)),
-    )
+
+    def note(self, *given, **named):
+        shown.append(named.get("description"))
+        update(self, *given, **named)
+
+    monkeypatch.setattr(rich.progress.Progress, "update", note)
     bars = Bars()
     bars.note("before any task")
     with bars.task("training", 3) as advance:
@@ -37,9 +38,8 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, monkeypatch)
         lines.note("loss 1.25")
         advance(1)
         advance(4)
-    assert capsys.readouterr().err.splitlines() == [
-        "note: locating objects: 3 of 9 in 10 s", "note: locating objects: 5 of 9 in 20 s (loss 1.25)"
-    ]  # fmt: skip
+    said = ["3 of 9 in 10 s", "5 of 9 in 20 s (loss 1.25)"]
+    assert capsys.readouterr().err.splitlines() == [f"note: locating objects: {words}" for words in said]
 
 
 def test_names_of_settings_become_flags_of_the_command(capsys):

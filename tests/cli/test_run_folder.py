@@ -53,13 +53,16 @@ def test_each_touch_has_a_line_and_its_results(cli, folder):
 
 
 def test_a_touch_in_a_folder_is_located_as_alone(cli, folder):
-    assert cli("run", *PIN, "--touch", folder, "--out", "all").exit_code == 0
+    (folder / "touch-0001.png").write_bytes(b"")
+    done = succeed(cli("run", *PIN, "--touch", folder, "--out", "all"))
+    assert "--touch 'touches/touch-*.png'" in done.stderr, "photos beside contact shapes are reported"
     assert cli("run", *PIN, "--touch", folder / "touch-0001.npz", "--out", "one").exit_code == 0
     both = [json.loads(Path(p).read_text()) for p in ("all/touch-0001/result.json", "one/result.json")]
     poses = [np.array(r["hypotheses"][0]["T_sensor_object"]) for r in both]
     np.testing.assert_allclose(*poses, atol=1e-5)
     assert both[0]["touch"]["T_sensor_object"] == both[1]["touch"]["T_sensor_object"]
     assert not Path("all/touch-0001/result.png").exists()
+    assert_refused(cli("run", *PIN, "--touch", folder, "--prior", "prior.toml"), "--prior", "folder")
 
 
 def test_poorly_explained_touches_are_named(cli, folder, monkeypatch):
@@ -68,16 +71,6 @@ def test_poorly_explained_touches_are_named(cli, folder, monkeypatch):
     done = cli("run", *PIN, "--touch", folder, "--out", "out")
     assert not missing(done.stderr, 2, "101 %", "touch-0000.npz", "touch-0001.npz")
     assert "101 %" not in cli("run", *PIN, "--touch", folder, "--out", "out", "--refiner", "none").stderr
-
-
-def test_photos_beside_contact_shapes_are_reported(cli, folder):
-    (folder / "touch-0001.png").write_bytes(b"")
-    done = succeed(cli("run", *PIN, "--touch", folder, "--out", "out"))
-    assert "--touch 'touches/touch-*.png'" in done.stderr
-
-
-def test_options_of_a_single_result_are_refused(cli, folder):
-    assert_refused(cli("run", *PIN, "--touch", folder, "--prior", "prior.toml"), "--prior", "folder")
 
 
 def test_a_pattern_chooses_files(cli, folder):

@@ -53,49 +53,33 @@ def test_debug_lines_are_shown_only_with_vv(build):
     assert not [line for line in build(["-v"], []) if line.startswith("debug: ")]
 
 
-@pytest.fixture
-def namesake(tmp_path):
-    """A calibration folder with the name of a built-in sensor."""
-    (tmp_path / "digit").mkdir()
-    (tmp_path / "digit" / "calibration.json").write_text("{}")
-
-
-@pytest.mark.usefixtures("namesake")
-def test_quiet_hides_warnings_but_not_errors(cli):
+def test_only_a_calibration_named_like_a_sensor_is_warned_about_and_reached_by_its_path(cli):
+    Path("digit").mkdir()
+    assert cli("build", *PIN, "--sensor", "digit").stderr == ""
+    Path("digit/calibration.json").write_text("{}")
+    done = cli("build", *PIN, "--sensor", "./digit")
+    assert done.exit_code == 2
+    assert "digit" in done.stderr  # the folder is read as a calibration and refused
+    assert "CalibrationError" in cli("build", *PIN, "--sensor", "./digit", "--json").stdout
     words = ["build", *PIN, "--sensor", "digit"]
     (warning,) = cli(*words).stderr.splitlines()
     assert warning.startswith("warning: ")
     assert "./digit" in warning
     for hushed in (["-q", *words], [*words, "-q"], [*words, "--quiet", "--json"]):
-        assert cli(*hushed).stderr == ""
+        assert cli(*hushed).stderr == "", "quiet hides warnings"
     done = cli("build", "--object", "pinn", "-q")
-    assert (done.exit_code, done.stderr.startswith("error: ")) == (2, True)
+    assert (done.exit_code, done.stderr.startswith("error: ")) == (2, True), "quiet hides no error"
 
 
-@pytest.mark.usefixtures("namesake")
-def test_a_folder_named_like_a_sensor_is_reached_by_its_path(cli):
-    done = cli("build", *PIN, "--sensor", "./digit")
-    assert done.exit_code == 2
-    assert "digit" in done.stderr  # the folder is read as a calibration and refused
-    assert "CalibrationError" in cli("build", *PIN, "--sensor", "./digit", "--json").stdout
-
-
-def test_a_folder_without_a_calibration_gives_no_warning(cli):
-    Path("digit").mkdir()
-    assert cli("build", *PIN, "--sensor", "digit").stderr == ""
-
-
-def test_a_repeated_warning_is_shown_once(capsys):
+def test_a_repeated_warning_is_shown_once_and_notes_without_v_unless_quiet(capsys):
+    logger = logging.getLogger("tactile_loc.core")
     with show_log():
         for text in ("a", "b", "a"):
-            logging.getLogger("tactile_loc.core").warning(text)
+            logger.warning(text)
     assert capsys.readouterr().err == "warning: a\nwarning: b\n"
-
-
-def test_notes_are_shown_without_v_and_hidden_by_quiet(capsys):
     for verbosity, shown in ((0, "note: a\n"), (1, "note: a\n"), (-1, "")):
         with show_log(verbosity):
-            logging.getLogger("tactile_loc.core").log(NOTE, "a")
+            logger.log(NOTE, "a")
         assert capsys.readouterr().err == shown
 
 

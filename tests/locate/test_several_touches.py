@@ -58,13 +58,13 @@ def test_the_position_of_the_base_does_not_matter(localizer, touches):
 
 def test_the_refined_pose_fits_all_touches_best(localizer, touches):
     found = locate_together(localizer, touches, top=1).best
-    grid, refined = (
-        np.mean([
-            localizer.scene.imprint_ious((invert(t.T_base_sensor) @ touches[0].T_base_sensor @ T)[None], t)[0]
-            for t in touches
-        ])
-        for T in (found.T_sensor_object_grid, found.T_sensor_object)
-    )  # fmt: skip
+
+    def average_iou(T: np.ndarray) -> float:
+        poses = [invert(touch.T_base_sensor) @ touches[0].T_base_sensor @ T for touch in touches]
+        seen = zip(poses, touches, strict=True)
+        return float(np.mean([localizer.scene.imprint_ious(pose[None], touch)[0] for pose, touch in seen]))
+
+    grid, refined = average_iou(found.T_sensor_object_grid), average_iou(found.T_sensor_object)
     assert refined >= grid
     assert refined - 1e-6 <= found.imprint_iou <= refined + 0.05  # sensor poses may have small errors
 

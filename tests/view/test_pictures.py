@@ -45,20 +45,16 @@ def figure(localizer, localization):
     return draw_result(localization, localizer.scene, "pin on gelslim", errors_m)
 
 
-def test_labels_name_the_object_the_poses_and_the_units(figure):
+def test_labels_name_the_object_the_units_and_each_candidate_with_its_error(figure, localization):
     shown = texts(figure)
     for label in ("pin on gelslim", "x (mm)", "y (mm)", "z (mm)"):
         assert label in shown
     for word in ("true", "best"):
         assert any(word in text for text in shown)
     assert any("(mm)" in text and "contact" in text for text in shown)
-
-
-def test_each_candidate_has_its_probability_score_and_error(figure, localization):
-    captions = [text for text in texts(figure) if " %,  IoU " in text]
+    captions = [text for text in shown if " %,  IoU " in text]
     assert len(captions) == min(4, len(localization.hypotheses))
-    best = localization.best
-    assert captions[0].startswith(f"1:  {format_percent(best.probability)}")
+    assert captions[0].startswith(f"1:  {format_percent(localization.best.probability)}")
     assert not missing(captions[0], "2.5 mm")
 
 
@@ -204,6 +200,9 @@ def test_a_figure_is_saved_in_a_new_folder_but_not_below_a_file(tmp_path, figure
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError):
         save_figure(tmp_path / "file" / "a.png", figure)
+    named = make_figure(4, 2)
+    named.suptitle(r"$x^{a$")  # no valid formula, so it is drawn as it is
+    assert save_figure(tmp_path / "a.png", named).stat().st_size > 0
 
 
 def test_the_outline_on_an_elastic_gel_encloses_the_contact_alone(press_block_elastically):
@@ -213,9 +212,3 @@ def test_the_outline_on_an_elastic_gel_encloses_the_contact_alone(press_block_el
     (contour,) = axes.collections
     x, y = np.concatenate([path.vertices for path in contour.get_paths()]).T
     assert [np.ptp(x), np.ptp(y)] == pytest.approx([8, 6], abs=1.0)
-
-
-def test_signs_of_formulas_in_names_are_drawn_as_they_are(tmp_path):
-    figure = make_figure(4, 2)
-    figure.suptitle(r"$x^{a$")  # no valid formula
-    assert save_figure(tmp_path / "a.png", figure).stat().st_size > 0

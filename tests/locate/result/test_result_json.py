@@ -150,26 +150,20 @@ def test_a_file_without_a_document_gives_a_one_sentence_error(tmp_path, text, ki
 
 
 @pytest.mark.parametrize(("iou", "doubted"), [(0.49, True), (0.5, False)])
-def test_a_touch_that_the_pose_hardly_explains_causes_a_doubt(localization, iou, doubted):
+def test_a_touch_that_a_refined_pose_hardly_explains_causes_a_doubt(localization, iou, doubted):
     best = dataclasses.replace(localization.best, imprint_iou=iou)
     said = list_doubts(dataclasses.replace(localization, hypotheses=(best,)))
     assert len(said) == doubted
     assert all("49 %" in sentence and localization.touch.name in sentence for sentence in said)
-
-
-def test_an_unrefined_pose_causes_no_doubt(localization):
     refined = dataclasses.replace(localization.best.refined, T_sensor_object=localization.best.T_sensor_object_grid)
-    best = dataclasses.replace(localization.best, imprint_iou=0.1, refined=refined)
-    assert list_doubts(dataclasses.replace(localization, hypotheses=(best,))) == []
+    unrefined = dataclasses.replace(best, imprint_iou=0.1, refined=refined)
+    assert list_doubts(dataclasses.replace(localization, hypotheses=(unrefined,))) == []
 
 
-def test_touches_that_the_first_pose_explains_not_at_all_are_named(localization):
+def test_touches_that_the_first_pose_explains_not_at_all_are_named_once(localization):
     (said,) = list_doubts(explain_several(localization, (0.9, 0.0, 0.8, 0.04)))
     assert "touch-1, touch-3" in said
     assert all(name not in said for name in ("touch-0", "touch-2"))
-
-
-def test_touches_that_are_named_already_or_explained_a_little_cause_no_second_doubt(localization):
     assert list_doubts(explain_several(localization, (0.9, 0.06, 0.8))) == []
     (said,) = list_doubts(explain_several(localization, (0.9, 0.0, 0.8), outliers=(1,)))
     assert "2 of 3 touches agree" in said

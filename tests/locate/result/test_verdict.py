@@ -44,15 +44,8 @@ from tactile_loc.planning.next_step import suggest_next_step
 )
 def test_the_first_matching_rule_gives_the_verdict(probability, imprint_iou, elsewhere, expected):
     assert judge(probability, imprint_iou, elsewhere) is expected
-
-
-def test_no_contact_takes_precedence_over_every_other_verdict():
-    assert judge(1.0, 0.9, touched=False) is Verdict.NO_CONTACT
-    assert judge(None, touched=False) is Verdict.NO_CONTACT
-
-
-def test_the_caller_sets_the_thresholds():
-    assert judge(0.6, 0.3, certain=0.5, least_iou=0.25) is Verdict.CERTAIN
+    assert judge(probability, imprint_iou, elsewhere, touched=False) is Verdict.NO_CONTACT
+    assert judge(0.6, 0.3, certain=0.5, least_iou=0.25) is Verdict.CERTAIN, "the caller sets the thresholds"
 
 
 def test_every_verdict_has_a_meaning():
@@ -145,10 +138,12 @@ def test_contradicting_touches_give_a_poor_fit_unless_the_outlier_is_known(local
     assert replace(one, others=(one.touch,), left_out=(one.touch,)).verdict is Verdict.POOR_FIT
 
 
-def test_a_poor_fit_of_several_touches_asks_for_the_sensor_poses(localization):
+def test_a_poor_fit_states_no_probability_and_of_several_touches_asks_for_the_sensor_poses(localization):
     one = changed(localization, probability=0.95, imprint_iou=0.3, refined=moved(localization))
     two = replace(one, others=(one.touch,))
     assert "T_base_sensor" not in one.summary()
+    assert "imprint IoU 30 %" in one.summary().splitlines()
+    assert "probability" not in one.summary()
     assert f"next: {CHECK_SENSOR_POSES}" in two.summary().splitlines()
     assert two.assessment.next_step == suggest_next_step(two) == CHECK_SENSOR_POSES
     assert name_next_step(Verdict.NOT_FOUND, 2) == NEXT_STEPS[Verdict.NOT_FOUND]
@@ -175,12 +170,6 @@ def test_a_limit_of_the_fit_is_no_probability(localization):
     assert sure.describe_within() == f"within 1 mm with at least {format_percent(CERTAIN)} probability"
     missed = replace(left_open, posterior=replace(left_open.posterior, elsewhere=MOST_ELSEWHERE))
     assert "%" not in missed.describe_search()
-
-
-def test_the_summary_of_a_poor_fit_states_no_probability(localization):
-    one = changed(localization, probability=0.95, imprint_iou=0.3, refined=moved(localization))
-    assert "imprint IoU 30 %" in one.summary().splitlines()
-    assert "probability" not in one.summary()
 
 
 def test_the_probability_within_a_tolerance_takes_a_text_or_a_tolerance(localization):
