@@ -1,13 +1,17 @@
-"""Each check notices a component that breaks its contract, and reports it in one sentence."""
+"""Each check and property notices a component that breaks its contract, and reports it in one sentence."""
 
 from __future__ import annotations
 
 import dataclasses
 import subprocess
 import sys
+from collections.abc import Iterator
 
+import broken_components
+import broken_properties
+import hypothesis
 import pytest
-from broken_components import BROKEN
+from hypothesis import Phase
 
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
@@ -20,17 +24,31 @@ from tactile_loc.testing import (
     fusers,
     grids,
     list_checks,
+    list_properties,
     matchers,
     parametrize_with_checks,
+    parametrize_with_properties,
     refiners,
     renderers,
     sensors,
 )
 from tactile_loc.testing.contract import CHECKS, PROPERTY
+from tactile_loc.testing.running import run_checks
 
 MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers)
+BROKEN = [*broken_components.BROKEN, *broken_properties.BROKEN]
 
 
+@pytest.fixture
+def unsimplified() -> Iterator[None]:
+    """Report the first failing case, since simplification takes another second or two."""
+    hypothesis.settings.register_profile("unsimplified", phases=[Phase.generate])
+    hypothesis.settings.load_profile("unsimplified")
+    yield
+    hypothesis.settings.load_profile("default")
+
+
+@pytest.mark.usefixtures("unsimplified")
 @pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "name", type(x).__name__))
 def test_a_broken_component_is_noticed(check, component):
     with pytest.raises(ContractError) as caught:
@@ -38,11 +56,12 @@ def test_a_broken_component_is_noticed(check, component):
     sentence = str(caught.value)
     assert "\n" not in sentence
     assert len(sentence) > 30
+    assert not check.is_property or "=" in sentence, "the message lacks the values of its case"
 
 
 def test_every_check_has_a_broken_component():
     assert all(MODULES)  # they are imported
-    checks = {(one.slot, one.name) for one in CHECKS if one.slot in ("", *SLOTS) and not one.is_property}
+    checks = {(one.slot, one.name) for one in CHECKS if one.slot in ("", *SLOTS)}
     assert {(check.slot, check.name) for check, _ in BROKEN} == checks
 
 
@@ -59,17 +78,21 @@ def test_checks_follow_the_capabilities():
     assert "check_offsets_shrink" not in names
 
 
-def test_a_class_is_refused():
+@pytest.mark.parametrize("take", [list_checks, list_properties, run_checks])
+def test_a_class_is_refused(take):
     with pytest.raises(TypeError, match="DenseMatcher"):
-        list_checks(DenseMatcher)  # type: ignore[arg-type]
+        take(DenseMatcher)
 
 
-def test_parametrize_makes_one_case_per_check():
-    mark = parametrize_with_checks([DenseMatcher(), NoRefiner()]).mark
-    names, cases = mark.args
+@pytest.mark.parametrize(
+    ("parametrize", "listing", "kind"),
+    [(parametrize_with_checks, list_checks, "check"), (parametrize_with_properties, list_properties, "property")],
+)
+def test_parametrize_makes_one_case_per_check(parametrize, listing, kind):
+    names, cases = parametrize([DenseMatcher(), NoRefiner()]).mark.args
     assert names == ("component", "check")
-    assert len(cases) == len(list_checks(DenseMatcher())) + len(list_checks(NoRefiner()))
-    assert cases[0].id.startswith("DenseMatcher-check_")
+    assert len(cases) == len(listing(DenseMatcher())) + len(listing(NoRefiner()))
+    assert cases[0].id.startswith(f"DenseMatcher-{kind}_")
 
 
 @pytest.mark.slow

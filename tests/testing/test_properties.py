@@ -1,17 +1,13 @@
-"""Each property notices a component that breaks it, and names a case; draws are always the same."""
+"""Draws of properties are always the same, and a failing case is named."""
 
 from __future__ import annotations
 
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 
-import hypothesis
 import numpy as np
 import pytest
-from broken_properties import BROKEN
-from hypothesis import Phase
 
 from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.core.runtime.errors import MissingLibraryError
@@ -19,46 +15,10 @@ from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.testing import (
     ContractError,
-    encoders,
-    fusers,
-    grids,
     list_properties,
-    matchers,
-    parametrize_with_properties,
-    refiners,
-    renderers,
-    sensors,
 )
-from tactile_loc.testing.contract import CHECKS
 from tactile_loc.testing.properties import hold, motions, one_of, orders, places, shifts, signed, slides, whole
 from tactile_loc.testing.running import run_checks
-
-MODULES = (sensors, renderers, grids, encoders, matchers, refiners, fusers)
-
-
-@pytest.fixture
-def unsimplified() -> Iterator[None]:
-    """Report the first failing case, since simplification takes another second or two."""
-    hypothesis.settings.register_profile("unsimplified", phases=[Phase.generate])
-    hypothesis.settings.load_profile("unsimplified")
-    yield
-    hypothesis.settings.load_profile("default")
-
-
-@pytest.mark.usefixtures("unsimplified")
-@pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "name", type(x).__name__))
-def test_a_broken_component_is_noticed(check, component):
-    with pytest.raises(ContractError) as caught:
-        check(component)
-    sentence = str(caught.value)
-    assert "\n" not in sentence
-    assert "=" in sentence, "the message lacks the values of its case"
-
-
-def test_every_property_has_a_broken_component():
-    assert all(MODULES)  # they are imported
-    properties = {(one.slot, one.name) for one in CHECKS if one.is_property}
-    assert {(check.slot, check.name) for check, _ in BROKEN} == properties
 
 
 def test_draws_are_reproducible_and_begin_with_the_simplest():
@@ -151,15 +111,3 @@ def test_properties_run_after_the_checks_on_request():
         check.name for check in list_properties(DenseMatcher())
     ]
     assert all(result.passed for result in results)
-
-
-def test_parametrize_makes_one_case_per_property():
-    names, cases = parametrize_with_properties([DenseMatcher(), NoRefiner()]).mark.args
-    assert names == ("component", "check")
-    assert len(cases) == len(list_properties(DenseMatcher())) + len(list_properties(NoRefiner()))
-    assert cases[0].id.startswith("DenseMatcher-property_")
-
-
-def test_a_class_is_refused():
-    with pytest.raises(TypeError, match="DenseMatcher"):
-        list_properties(DenseMatcher)  # type: ignore[arg-type]

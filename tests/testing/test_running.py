@@ -73,11 +73,6 @@ def test_undeclared_capabilities_fail_the_declaration():
     assert "capabilities" in failed["check_declaration"]
 
 
-def test_a_class_is_refused():
-    with pytest.raises(TypeError, match="DenseMatcher"):
-        run_checks(DenseMatcher)  # type: ignore[arg-type]
-
-
 LEARNS = Capabilities(follows_press_depth=True, needs_training=True)
 
 

@@ -16,18 +16,19 @@ SOLIDS = {
     "box": trimesh.creation.box((0.03, 0.02, 0.012)),
     "ring": trimesh.creation.annulus(0.004, 0.009, 0.006),
 }
+MESHES = {
+    name: TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64)) for name, solid in SOLIDS.items()
+}
 
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_the_nearest_point_agrees_with_trimesh(name):
-    solid = SOLIDS[name]
-    mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
+    mesh = MESHES[name]
     rng = np.random.default_rng(0)
     points = mesh.sample(2000, rng) + rng.normal(0, 1e-4, (2000, 3))
     found, which = SurfaceField.of(mesh).find_closest(points)
-    in_mm = trimesh.Trimesh(
-        1e3 * mesh.vertices_m, mesh.faces, process=False
-    )  # trimesh has absolute tolerances too large for metres
+    # trimesh has absolute tolerances too large for metres
+    in_mm = trimesh.Trimesh(1e3 * mesh.vertices_m, mesh.faces, process=False)
     distance_m = 1e-3 * trimesh.proximity.closest_point(in_mm, 1e3 * points)[1]
     assert (which >= 0).all()
     off_m = np.linalg.norm(found - points, axis=1) - distance_m
@@ -39,7 +40,7 @@ def test_the_nearest_point_agrees_with_trimesh(name):
 
 
 def test_the_fields_used_last_are_kept_within_a_number_of_bytes(monkeypatch):
-    meshes = [TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64)) for solid in SOLIDS.values()]
+    meshes = list(MESHES.values())
     sizes = [build_surface_field(mesh).nbytes for mesh in meshes]
     assert all(size > SurfaceField.of(mesh).distances.nbytes for size, mesh in zip(sizes, meshes, strict=True))
     monkeypatch.setattr(module, "_fields", ByteCache(sum(sizes) - 1, lambda field: field.nbytes))
@@ -51,8 +52,7 @@ def test_the_fields_used_last_are_kept_within_a_number_of_bytes(monkeypatch):
 
 
 def test_no_point_is_found_beyond_the_reach():
-    solid = SOLIDS["ball"]
-    mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
+    mesh = MESHES["ball"]
     found, which = SurfaceField.of(mesh, reach_m=2e-3).find_closest(np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.009]]))
     assert which.tolist()[0] == -1
     assert np.isnan(found[0]).all()
@@ -60,8 +60,7 @@ def test_no_point_is_found_beyond_the_reach():
 
 
 def test_distances_from_a_ball_equal_their_formula():
-    solid = SOLIDS["ball"]
-    field = SurfaceField.of(TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64)))
+    field = SurfaceField.of(MESHES["ball"])
     points = np.array([[0.008, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.1]])
     turn = np.eye(4)
     turn[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
@@ -74,8 +73,7 @@ def test_distances_from_a_ball_equal_their_formula():
 
 
 def test_estimated_gaps_differ_from_the_gaps_by_less_than_a_cell():
-    solid = SOLIDS["ball"]
-    mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
+    mesh = MESHES["ball"]
     field, points = SurfaceField.of(mesh), mesh.sample(500, np.random.default_rng(3))
     moves = np.tile(np.eye(4), (4, 1, 1))
     moves[:, 2, 3] = [0.0, 1e-3, 3e-3, 0.1]
@@ -119,9 +117,7 @@ def test_triangles_with_a_common_edge_are_neighbours(name):
 
 def test_rounding_does_not_choose_between_the_triangles_of_an_edge():
     """Beside an edge, both faces are equally near. The face that the point is farther above is taken."""
-    solid = SOLIDS["box"]
-    mesh = TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
-    field, rng = SurfaceField.of(mesh), np.random.default_rng(0)
+    field, rng = SurfaceField.of(MESHES["box"]), np.random.default_rng(0)
     beyond = rng.uniform(1e-4, 2e-3, (200, 2))
     beyond[:50, 1] = beyond[:50, 0]  # on the bisector of the edge
     points = np.column_stack([rng.uniform(-0.012, 0.012, 200), 0.01 + beyond[:, 0], 0.006 + beyond[:, 1]])

@@ -24,6 +24,12 @@ def grid(box) -> PoseGrid:
     return line(box, 0.002 * np.arange(6.0))
 
 
+@pytest.fixture
+def posterior(grid) -> PosePosterior:
+    with np.errstate(divide="ignore"):
+        return PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]), touches=3)
+
+
 def test_probabilities_are_normalised_at_any_scale(grid):
     weights = np.array([1.0, 2, 3, 4, 0, 6])
     with np.errstate(divide="ignore"):
@@ -69,9 +75,7 @@ def test_entropy_has_known_values(grid):
     assert PosePosterior(grid, halves).entropy == pytest.approx(np.log(2))
 
 
-def test_sample_frequencies_equal_the_probabilities(grid):
-    with np.errstate(divide="ignore"):
-        posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]))
+def test_sample_frequencies_equal_the_probabilities(posterior):
     drawn = posterior.sample(20_000, np.random.default_rng(0))
     assert drawn.shape == (20_000, 4, 4)
     frequency = np.bincount(np.rint(drawn[:, 0, 3] / 0.002).astype(int), minlength=6) / 20_000
@@ -82,9 +86,7 @@ def test_sample_frequencies_equal_the_probabilities(grid):
     assert not np.array_equal(other, drawn)
 
 
-def test_a_credible_set_has_the_fewest_poses_of_its_mass(grid):
-    with np.errstate(divide="ignore"):
-        posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]))
+def test_a_credible_set_has_the_fewest_poses_of_its_mass(posterior):
     assert posterior.credible_set(0.0).tolist() == [0]
     assert posterior.credible_set(0.49).tolist() == [0]
     assert sorted(posterior.credible_set(0.6)) == [0, 1, 3], "both of two equally probable poses are included"
@@ -100,9 +102,7 @@ def test_a_pose_is_in_all_credible_sets_from_its_level(grid):
         assert posterior.credible_level(index, 0.5) == pytest.approx(level + 0.5 * posterior.probabilities[index])
 
 
-def test_a_tempered_posterior_has_powers_of_the_probabilities(grid):
-    with np.errstate(divide="ignore"):
-        posterior = PosePosterior(grid, np.log([0.5, 0.2, 0.0, 0.2, 0.1, 0.0]), touches=3)
+def test_a_tempered_posterior_has_powers_of_the_probabilities(posterior):
     found = posterior.temper(0.5)
     np.testing.assert_allclose(found.probabilities, (root := np.sqrt(posterior.probabilities)) / root.sum())
     surer = posterior.temper(2.0).probabilities
@@ -134,10 +134,16 @@ def test_modes_are_clusters_of_poses(box):
     np.testing.assert_allclose(modes[1].T_sensor_object, make_translation([0.051, 0, 0]))
 
 
-def test_modes_are_ordered_by_their_mass(box):
-    x_m = np.array([0.0, 50, 51, 52]) * 1e-3
-    modes = PosePosterior(line(box, x_m), np.log([0.34, 0.22, 0.22, 0.22])).modes(radius_m=1.5e-3, mass=1.0)
-    assert [m.index for m in modes] == [1, 0]
+def test_modes_are_ordered_by_their_mass_and_exclude_the_tail(box):
+    def find(x_mm: list[float], weights: list[float], **limits: float) -> list[int]:
+        with np.errstate(divide="ignore"):
+            posterior = PosePosterior(line(box, 1e-3 * np.array(x_mm)), np.log(weights))
+        return [mode.index for mode in posterior.modes(1.5e-3, **limits)]
+
+    assert find([0.0, 50, 51, 52], [0.34, 0.22, 0.22, 0.22], mass=1.0) == [1, 0]
+    assert find([0.0, 100, 200], [0.9, 0.08, 0.02], mass=0.95) == [0, 1]
+    assert find([0.0, 100, 200], [0.9, 0.08, 0.02], mass=0.5) == [0]
+    assert sorted(find([0.0, 100, 200], [0.5, 0.0, 0.5])) == [0, 2], "excluded poses form no mode"
 
 
 def test_the_radius_decides_which_poses_form_a_mode(box):
@@ -159,19 +165,6 @@ def test_mode_masses_sum_to_one_and_count_limits_the_modes(box):
     for mode in modes:
         assert mode.index == mode.members[posterior.log_p[mode.members].argmax()]
         assert mode.probability == pytest.approx(posterior.probabilities[mode.members].sum())
-
-
-def test_the_mass_limit_excludes_the_tail(box):
-    weights = np.array([0.9, 0.08, 0.02])
-    posterior = PosePosterior(line(box, np.array([0.0, 0.1, 0.2])), np.log(weights))
-    assert [m.index for m in posterior.modes(1e-3, mass=0.95)] == [0, 1]
-    assert [m.index for m in posterior.modes(1e-3, mass=0.5)] == [0]
-
-
-def test_excluded_poses_form_no_mode(box):
-    log_p = np.array([0.0, -np.inf, 0.0])
-    modes = PosePosterior(line(box, np.array([0.0, 0.1, 0.2])), log_p).modes(1e-3)
-    assert sorted(m.index for m in modes) == [0, 2]
 
 
 @pytest.mark.parametrize(("symmetry", "count"), [("none", 4), ("z2", 2), ("x2*y2", 1)])

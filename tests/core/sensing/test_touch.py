@@ -51,27 +51,21 @@ def test_the_press_depth_is_the_deepest_step_in_contact(marker: float) -> None:
     np.testing.assert_allclose(shape.depth_m, np.array([[0.0, 0.7, 1.3, 1.3]]) * MM, rtol=1e-3)
 
 
-def test_a_flat_imprint_has_a_press_depth_of_a_quarter_of_the_range() -> None:
-    shape = contact_shape_from_array([[0.0, 0.01 * MM, np.nan]], 2 * MM)
-    assert shape.press_depth_m == pytest.approx(0.5 * MM)
-    np.testing.assert_array_equal(shape.contact, [[True, True, False]])
-
-
-def test_a_shape_without_markers_is_cut_at_its_largest_depth() -> None:
-    shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.5 * MM, 1.5 * MM]], 2 * MM)
-    assert shape.press_depth_m == pytest.approx(1.5 * MM)
-    np.testing.assert_array_equal(shape.contact, [[True, True, False, False]])
-
-
-def test_a_given_press_depth_is_used() -> None:
-    shape = contact_shape_from_array([[0.0, 0.7 * MM, 1.3 * MM, np.nan]], 2 * MM, press_depth_m=1 * MM)
-    assert shape.press_depth_m == 1 * MM
-    np.testing.assert_array_equal(shape.contact, [[True, True, False, False]])
-
-
-def test_rounding_errors_make_no_contact() -> None:
-    nearly = np.array([[0.0, 1.0 * (1 - 1e-7) * MM]])
-    np.testing.assert_array_equal(contact_shape_from_array(nearly, 2 * MM, 1 * MM).contact, [[True, False]])
+@pytest.mark.parametrize(
+    ("values_mm", "given_mm", "press_mm", "contact"),
+    [
+        ([0.0, 0.7, 1.5, 1.5], None, 1.5, [1, 1, 0, 0]),  # without markers, the largest depth is the press depth
+        ([0.0, 0.7, 1.3, np.nan], 1.0, 1.0, [1, 1, 0, 0]),
+        ([0.0, 0.01, np.nan], None, 0.5, [1, 1, 0]),  # a flat imprint: a quarter of the range
+        ([0.0, 1.0 * (1 - 1e-7)], 1.0, 1.0, [1, 0]),  # a rounding error is no contact
+    ],
+)
+def test_the_press_depth_decides_what_is_in_contact(
+    values_mm: list[float], given_mm: float | None, press_mm: float, contact: list[int]
+) -> None:
+    shape = contact_shape_from_array(np.array([values_mm]) * MM, 2 * MM, given_mm and given_mm * MM)
+    assert shape.press_depth_m == pytest.approx(press_mm * MM)
+    np.testing.assert_array_equal(shape.contact, [np.array(contact, bool)])
 
 
 @pytest.mark.parametrize(
