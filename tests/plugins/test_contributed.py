@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import ast
-import os
 import re
-import shutil
-import subprocess
-import sys
 import tomllib
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
@@ -27,36 +23,13 @@ ANNEXES = [name for name in FOUND if name in tactile_loc_cli.ANNEXES.values()]
 DISTRIBUTIONS = [name for name in FOUND if name not in ANNEXES]
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plugin"
 PUBLIC = ("tactile_loc.plugin", "tactile_loc.commands", "tactile_loc.testing")
-INSTALL = [
-    sys.executable,
-    "-m",
-    "pip",
-    "--quiet",
-    "--disable-pip-version-check",
-    "install",
-    "--no-index",
-    "--no-deps",
-    "--no-build-isolation",
-    "--target",
-]
-LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", ".*")
 each = pytest.mark.parametrize("name", DISTRIBUTIONS)
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which all plugins are installed offline, with unchanged sources."""
-    folder = tmp_path_factory.mktemp("contributed")
-    sources = [shutil.copytree(CONTRIBUTED / name, folder / name, ignore=LEFT_OUT) for name in DISTRIBUTIONS]
-    subprocess.run([*INSTALL, str(folder / "site"), *map(str, sources)], check=True)
-    return folder / "site"
-
-
-def python(site: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run Python in a new process that sees the installed plugins and not their sources."""
-    seen = {k: v for k, v in os.environ.items() if k != "TACTILE_LOC_PLUGINS"}
-    seen |= {"PYTHONPATH": str(site), "COLUMNS": "200", "PYTHONDONTWRITEBYTECODE": "1"}
-    return subprocess.run([sys.executable, *words], env=seen, cwd=folder, capture_output=True, text=True, check=False)
+def site(install_offline) -> Path:
+    """The folder in which all plugins are installed."""
+    return install_offline(*(CONTRIBUTED / name for name in DISTRIBUTIONS))
 
 
 def has_components(name: str) -> bool:
@@ -154,8 +127,8 @@ def test_each_readme_describes_the_plugin_and_its_installation(name):
 
 
 @pytest.mark.slow
-def test_all_are_listed_with_their_distribution(site, tmp_path):
-    listed = python(site, tmp_path, "-m", "tactile_loc_cli.main", "plugins")
+def test_all_are_listed_with_their_distribution(site, tmp_path, run_python):
+    listed = run_python(site, tmp_path, "-m", "tactile_loc_cli.main", "plugins")
     assert listed.returncode == 0, listed.stderr
     assert "Error: " not in listed.stdout + listed.stderr
     for name in filter(has_components, DISTRIBUTIONS):
@@ -164,12 +137,9 @@ def test_all_are_listed_with_their_distribution(site, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def own_tests(site, tmp_path_factory) -> str:
-    """Run the tests of all plugins once, and return the output."""
-    folder = tmp_path_factory.mktemp("own")
-    tests = [shutil.copytree(CONTRIBUTED / name / "tests", folder / name, ignore=LEFT_OUT) for name in DISTRIBUTIONS]
-    quiet = ["-rA", "-p", "no:cacheprovider", "-p", "no:dash", "--import-mode=importlib", "--rootdir", str(folder)]
-    return python(site, folder, "-m", "pytest", *quiet, *map(str, tests)).stdout
+def own_tests(site, run_own_tests) -> str:
+    """The output of the tests of all plugins."""
+    return run_own_tests(site, {name: CONTRIBUTED / name / "tests" for name in DISTRIBUTIONS})
 
 
 @pytest.mark.slow

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,45 +13,20 @@ from message_helpers import missing
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "plugin"
-PIP = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install"]
-RUN = [
-    "run",
-    "--object",
-    "pin",
-    "--refiner",
-    "centroid",
-    "--grid",
-    "face",
-    "-o",
-    "grid.spacing_mm=8",
-    "--seed",
-    "3",
-    "--top",
-    "2",
-]
+GRID = ["--grid", "face", "-o", "grid.spacing_mm=8"]
+RUN = ["run", "--object", "pin", "--refiner", "centroid", *GRID, "--seed", "3", "--top", "2"]
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which the example is installed offline, with unchanged sources."""
-    folder = tmp_path_factory.mktemp("third-party")
-    source = shutil.copytree(EXAMPLE, folder / "source", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
-    offline = ["--no-index", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*PIP, *offline, "--target", str(folder / "site"), str(source)], check=True)
-    return folder / "site"
+def site(install_offline) -> Path:
+    """The folder in which the example is installed."""
+    return install_offline(EXAMPLE)
 
 
 @pytest.fixture
-def tactile_loc(site, tmp_path):
+def tactile_loc(site, tmp_path, run_python):
     """Run the command line in a new process that sees the installed plugin."""
-
-    def command(*words: str, **environment: str) -> subprocess.CompletedProcess[str]:
-        seen = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "200", "TACTILE_LOC_STORE": str(tmp_path / "store")}
-        call = [sys.executable, "-m", "tactile_loc_cli.main", *words]
-        settings = {k: v for k, v in seen.items() if k != "TACTILE_LOC_PLUGINS"} | environment
-        return subprocess.run(call, env=settings, cwd=tmp_path, capture_output=True, text=True, check=False)
-
-    return command
+    return partial(run_python, site, tmp_path, "-m", "tactile_loc_cli.main", TACTILE_LOC_STORE=str(tmp_path / "store"))
 
 
 def test_an_installed_plugin_is_listed_with_its_distribution_and_options(tactile_loc):
@@ -113,23 +85,7 @@ def test_a_broken_plugin_is_listed_and_does_not_affect_others(tactile_loc, site)
 
 
 @pytest.mark.slow
-def test_the_plugins_own_tests_pass(site, tmp_path):
-    tests = shutil.copytree(EXAMPLE / "tests", tmp_path / "tests", ignore=shutil.ignore_patterns("__pycache__"))
-    call = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:dash",
-        "--rootdir",
-        str(tests),
-        str(tests),
-    ]
-    done = subprocess.run(
-        call, env={**os.environ, "PYTHONPATH": str(site)}, cwd=tests, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout
-    assert re.search(r"\d\d passed", done.stdout)
+def test_the_plugins_own_tests_pass(site, run_own_tests):
+    said = run_own_tests(site, {"centroid": EXAMPLE / "tests"})
+    assert re.search(r"^=+ \d\d passed", said, re.MULTILINE), said
+    assert not re.search("^(FAILED|ERROR) ", said, re.MULTILINE), said

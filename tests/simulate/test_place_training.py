@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from pose_helpers import random_poses
 
-from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.places.places import PATCH_PX
@@ -113,11 +114,6 @@ def test_a_request_for_listed_poses_is_refused(problem):
 YAWS_RAD = np.radians(np.arange(0, 360, 0.5))
 
 
-def poses(count: int, seed: int) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    return make_transform(draw_rotations(count, rng), rng.normal(scale=0.005, size=(count, 3)))
-
-
 @pytest.fixture(params=["none", "z3", "x2*y2", "zinf", "zinf*x2"])
 def metric(request) -> PoseMetric:
     mesh = trimesh.creation.cylinder(0.004, 0.03, sections=24)
@@ -131,7 +127,7 @@ def turned(T: np.ndarray) -> np.ndarray:
 
 
 def test_the_nearest_pose_agrees_with_a_search_over_yaws(metric):
-    places, truths = poses(7, 1), poses(5, 2)
+    places, truths = random_poses(7, 1, 0.005), random_poses(5, 2, 0.005)
     off_m, index, yaw_rad = RotatedPoses(places, metric).nearest(truths)
     for k, truth in enumerate(truths):
         tried = np.stack(
@@ -147,7 +143,7 @@ def test_the_nearest_pose_agrees_with_a_search_over_yaws(metric):
 
 
 def test_distances_at_given_yaws_equal_the_metric(metric):
-    places, truths, numbers = poses(6, 3), poses(4, 4), np.array([5, 0, 2, 2])
+    places, truths, numbers = random_poses(6, 3, 0.005), random_poses(4, 4, 0.005), np.array([5, 0, 2, 2])
     off_m = RotatedPoses(places, metric).distances(truths, numbers, np.tile(YAWS_RAD[::40], (4, 1)))
     for k, truth in enumerate(truths):
         some = turned(places[numbers[k]])[::40]
@@ -156,7 +152,7 @@ def test_distances_at_given_yaws_equal_the_metric(metric):
 
 
 def test_a_large_search_in_parts_gives_the_same_result(metric, monkeypatch):
-    places, truths = poses(6, 5), poses(9, 6)
+    places, truths = random_poses(6, 5, 0.005), random_poses(9, 6, 0.005)
     whole = RotatedPoses(places, metric).nearest(truths)
     monkeypatch.setattr("tactile_loc.simulate.place_training.AT_ONCE", 12)
     for one, other in zip(whole, RotatedPoses(places, metric).nearest(truths), strict=True):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from pose_helpers import random_poses
 from scipy.spatial.distance import cdist
 
 from tactile_loc.core.geometry.rigid import (
@@ -17,11 +18,6 @@ from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import SPACING_SAMPLE, PoseGrid, PoseMetric, measure_distances, remove_equivalent
 from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.io.meshes.mesh_files import load_object
-
-
-def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    return make_transform(draw_rotations(count, rng), rng.normal(scale=spread_m, size=(count, 3)))
 
 
 def quadrature(mesh: TriangleMesh) -> tuple[np.ndarray, np.ndarray]:

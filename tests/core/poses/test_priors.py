@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from message_helpers import naming
+from pose_helpers import random_poses
 
 from tactile_loc.core.geometry.rigid import (
     draw_rotations,
@@ -28,11 +29,6 @@ from tactile_loc.core.poses.priors import (
     temper,
 )
 from tactile_loc.core.runtime.errors import ConfigError
-
-
-def random_poses(count: int, seed: int, spread_m: float = 0.01) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    return make_transform(draw_rotations(count, rng), rng.normal(scale=spread_m, size=(count, 3)))
 
 
 def posterior_of(obj, count: int = 80, seed: int = 0) -> PosePosterior:
