@@ -21,15 +21,8 @@ def test_a_written_mount_is_read_back(tmp_path):
         HandEyeTouchRecord(name='a "b".npz', residual_m=1e-7, left_out="it slipped"),
         HandEyeTouchRecord(name="c"),
     ]
-    record = HandEyeRecord(
-        T_flange_sensor=X.tolist(),
-        covariance=COVARIANCE.tolist(),
-        T_base_object=X.tolist(),
-        object="pin",
-        sensor="digit",
-        variance_factor=1.5,
-        touch=touches,
-    )
+    poses = {"T_flange_sensor": X.tolist(), "covariance": COVARIANCE.tolist(), "T_base_object": X.tolist()}
+    record = HandEyeRecord(**poses, object="pin", sensor="digit", variance_factor=1.5, touch=touches)
     path = write_mount(tmp_path / "mount.toml", record)
     found = read_mount(path)
     np.testing.assert_array_equal(found.T_flange_sensor, X)

@@ -64,12 +64,6 @@ def test_thickness_coating_and_contact_are_found(gel):
     assert fit.gel == Gel(fit.thickness_m, coating_m=fit.coating_m)
 
 
-def test_a_known_thickness_is_kept():
-    fit = fit_gel([draw_press(Gel(5e-3), number) for number in range(3)], UNTOUCHED, thickness_m=3e-3)
-    assert fit is not None
-    assert (fit.thickness_m, fit.std_m) == (3e-3, 0.0)
-
-
 def test_a_gel_that_ends_at_the_contact_is_taken_for_rigid():
     fit = fit_gel([draw_press(RIGID, number) for number in range(4)], UNTOUCHED)
     assert fit is not None
@@ -77,8 +71,11 @@ def test_a_gel_that_ends_at_the_contact_is_taken_for_rigid():
     assert fit.rigid_rms < 0.2
 
 
-def test_too_few_presses_or_circles_beyond_the_image_give_no_fit():
+def test_a_known_thickness_is_kept_and_too_few_presses_or_circles_beyond_the_image_give_no_fit():
     presses = [draw_press(Gel(4e-3), number) for number in range(3)]
+    known = fit_gel(presses, UNTOUCHED, thickness_m=3e-3)
+    assert known is not None
+    assert (known.thickness_m, known.std_m) == (3e-3, 0.0)
     assert fit_gel(presses[:2], UNTOUCHED) is None
     beyond = [one._replace(circle=dataclasses.replace(one.circle, x_px=0.0, y_px=0.0)) for one in presses]
     assert fit_gel(beyond, UNTOUCHED) is None
@@ -130,9 +127,8 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fi
     assert presses.fit is not None
     assert presses.fit.rms < 0.2 * presses.fit.rigid_rms
     geometry = presses.geometry
-    estimator = calibrate(
-        CalibrationProblem(geometry, presses.background, presses), EstimatorRecipe("photometric")
-    ).estimator
+    problem = CalibrationProblem(geometry, presses.background, presses)
+    estimator = calibrate(problem, EstimatorRecipe("photometric")).estimator
 
     def read(path: Path) -> np.ndarray:
         image = np.asarray(Image.open(path).convert("RGB"))

@@ -128,15 +128,10 @@ def test_a_tilted_mesh_is_deepest_at_its_lowest_edge(folder, angle, edge_mm):
     assert np.ptp(along[label.contact]) == pytest.approx(6 if angle == "roll_deg" else 3, abs=0.3)
 
 
-def test_paths_are_relative_to_the_table(folder):
+def test_the_unit_scales_the_mesh_and_paths_are_relative_to_the_table(folder):
     (folder / "images").mkdir()
     (folder / "0000.png").rename(folder / "images" / "0000.png")
-    change(folder, 3, image="images/0000.png", kind="mesh", **BOX)
-    assert read_presses(folder, GEOMETRY).label(0).contact.any()
-
-
-def test_the_unit_scales_the_mesh(folder):
-    change(folder, 3, kind="mesh", **(BOX | {"units": "cm", "x_mm": 0, "y_mm": 0}))
+    change(folder, 3, image="images/0000.png", kind="mesh", **(BOX | {"units": "cm", "x_mm": 0, "y_mm": 0}))
     assert read_presses(folder, GEOMETRY).label(0).contact.all()  # 60 x 30 mm
 
 
@@ -369,26 +364,16 @@ def test_public_sets_are_read_with_their_counts_and_circles(public, name):
 @pytest.mark.slow
 def test_a_few_training_steps_calibrate_a_real_sensor(public):
     presses = public("gelslim_balls")
-    found = calibrate(
-        CalibrationProblem(presses.geometry, presses.background, presses),
-        EstimatorRecipe("photometric", {"steps": 150, "hidden": 16}),
-    )
-    mean = average_errors(found.errors)
+    problem = CalibrationProblem(presses.geometry, presses.background, presses)
+    mean = average_errors(calibrate(problem, EstimatorRecipe("photometric", {"steps": 150, "hidden": 16})).errors)
     assert mean["slope_deg"] < 5
     assert mean["shape_m"] < 8e-5
 
 
-@pytest.mark.parametrize(
-    ("camera", "reading"),
-    [
-        ((320, 240), (160, 120)),
-        ((240, 320), (120, 160)),
-        ((64, 64), (64, 64)),
-        ((470, 470), (157, 157)),
-        ((200, 200), (200, 200)),
-        ((640, 480), (160, 120)),
-    ],
-)
+READ_AT = {(320, 240): (160, 120), (240, 320): (120, 160), (640, 480): (160, 120), (470, 470): (157, 157)}
+
+
+@pytest.mark.parametrize(("camera", "reading"), [*READ_AT.items(), *(((px, px), (px, px)) for px in (64, 200))])
 def test_the_chosen_image_size_suits_locating(camera, reading):
     width, height = camera
     geometry = SensorGeometry("orthographic", width, height, 1e4, 1e4, width / 2, height / 2, 0.01, 1e-3)

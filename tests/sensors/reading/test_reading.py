@@ -104,7 +104,9 @@ def test_a_balls_contact_shape_equals_that_of_a_lighter_press():
     Touch(shape, GEOMETRY)  # the shape is a valid touch
 
 
-def test_a_single_pixel_does_not_determine_the_press_depth():
+def test_neither_a_single_pixel_nor_the_pixel_size_determines_the_press_depth():
+    found = [measure_press_m(ball_indentation(g, press_m=PRESS_M), g) for g in (sensor(64), sensor(256))]
+    assert found[0] == pytest.approx(found[1], abs=3e-6)
     indentation = flat_punch()
     indentation[5, 5] = 1.4e-3
     assert measure_press_m(indentation, GEOMETRY) == pytest.approx(PRESS_M)
@@ -113,18 +115,10 @@ def test_a_single_pixel_does_not_determine_the_press_depth():
     assert measure_press_m(indentation, GEOMETRY) == pytest.approx(1e-3)
 
 
-def test_the_press_depth_does_not_depend_on_the_pixel_size():
-    found = [measure_press_m(ball_indentation(g, press_m=PRESS_M), g) for g in (sensor(64), sensor(256))]
-    assert found[0] == pytest.approx(found[1], abs=3e-6)
-
-
-@pytest.mark.parametrize("depth_m", [0.0, -1e-3, 0.9 * LEAST_M])
-def test_an_indentation_without_contact_is_refused(depth_m):
-    with pytest.raises(NoContactError, match=naming("0.05 mm")):
-        find_contact_shape(np.full(GEOMETRY.shape, depth_m, np.float32), GEOMETRY, 0.0)
-
-
-def test_noise_raises_the_contact_threshold():
+def test_an_indentation_without_contact_is_refused_and_noise_raises_the_threshold():
+    for depth_m in (0.0, -1e-3, 0.9 * LEAST_M):
+        with pytest.raises(NoContactError, match=naming("0.05 mm")):
+            find_contact_shape(np.full(GEOMETRY.shape, depth_m, np.float32), GEOMETRY, 0.0)
     light = ball_indentation(GEOMETRY, press_m=1.5e-4)
     assert find_contact_shape(light, GEOMETRY, 1e-5).contact.any()
     with pytest.raises(NoContactError, match=naming("0.2 mm") + r".*\b0\.1[45] mm"):

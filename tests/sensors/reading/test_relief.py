@@ -45,8 +45,7 @@ def circle_px(contact: np.ndarray) -> tuple[tuple[float, float], float]:
 @pytest.fixture(scope="module")
 def presses(tmp_path_factory) -> PressFolder:
     folder: Path = tmp_path_factory.mktemp("presses")
-    rng = np.random.default_rng(0)
-    optics = OPTICS["digit"]
+    rng, optics = np.random.default_rng(0), OPTICS["digit"]
     write_image(folder / "untouched.png", render_background(CURVED, optics))
     rows = [["untouched.png", "background", "", "", "", ""]]
     for number in range(30):
