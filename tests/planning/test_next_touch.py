@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -10,8 +11,7 @@ import trimesh
 from message_helpers import naming
 
 from tactile_loc.core.geometry.rigid import align_to_z, invert, make_transform, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -25,28 +25,26 @@ PRESS_M = 8e-4
 HALF_TURN = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
 
 
+def join_boxes(*boxes: tuple[Sequence[float], Sequence[float]]) -> trimesh.Trimesh:
+    """Return boxes with these sides and middles, in metres, as one surface."""
+    return trimesh.util.concatenate([trimesh.creation.box(sides).apply_translation(at) for sides, at in boxes])
+
+
 @pytest.fixture
-def knobbed(make_box) -> ObjectModel:
+def knobbed(make_object) -> ObjectModel:
     """Return a box, 40 x 30 x 20 mm, symmetric about z except for a knob on its side +x."""
-    box = make_box(0.04, 0.03, 0.02, symmetry="none")
-    knob = make_box(0.004, 0.006, 0.006)
-    shifted = knob.mesh.vertices_m + np.array([0.021, 0.0, 0.0])
-    faces = np.concatenate([box.mesh.faces, knob.mesh.faces + len(box.mesh.vertices_m)])
-    mesh = TriangleMesh(np.concatenate([box.mesh.vertices_m, shifted]), faces)
-    return ObjectModel("knobbed", mesh, SymmetryGroup.parse("none", np.zeros(3)))
+    return make_object(join_boxes(((0.04, 0.03, 0.02), [0, 0, 0]), ((0.004, 0.006, 0.006), [0.021, 0, 0])))
 
 
 @pytest.fixture
-def drilled() -> ObjectModel:
+def drilled(make_object) -> ObjectModel:
     """Return a block, 40 x 30 x 20 mm, with two blind holes in its top: that at +x is 8 mm deep, the other 2 mm."""
     block = trimesh.creation.box((0.04, 0.03, 0.02))
     bores = [
         trimesh.creation.cylinder(0.005, 2 * depth_m, sections=32).apply_translation([x, 0.0, 0.01])
         for x, depth_m in ((0.012, 8e-3), (-0.012, 2e-3))
     ]
-    made = trimesh.boolean.difference([block, *bores], engine="manifold")
-    mesh = TriangleMesh(np.asarray(made.vertices), np.asarray(made.faces))
-    return ObjectModel("drilled", mesh, SymmetryGroup.parse("none", np.zeros(3)))
+    return make_object(trimesh.boolean.difference([block, *bores], engine="manifold"))
 
 
 def towards(direction, beside_m: float = 0.0, **given) -> Approach:
@@ -191,13 +189,10 @@ def test_two_modes_have_the_known_expected_entropy():
     assert half == pytest.approx([0.5 * np.log(2)])
 
 
-def test_a_large_contact_is_preferred_to_a_small_one(make_box):
+def test_a_large_contact_is_preferred_to_a_small_one(make_object):
     # both knobs tell the poses apart, but noise would hide the small one
-    boxes = [make_box(0.06, 0.06, 0.02), make_box(0.003, 0.0015, 0.0015), make_box(0.012, 0.003, 0.012)]
-    shifts = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]])
-    vertices = np.concatenate([box.mesh.vertices_m + shift for box, shift in zip(boxes, shifts, strict=True)])
-    faces = np.concatenate([box.mesh.faces + 8 * k for k, box in enumerate(boxes)])
-    obj = ObjectModel("two knobs", TriangleMesh(vertices, faces), SymmetryGroup.parse("none", np.zeros(3)))
+    knobs = ((0.003, 0.0015, 0.0015), [0.03, 0, 0]), ((0.012, 0.003, 0.012), [0, 0.03, 0])
+    obj = make_object(join_boxes(((0.06, 0.06, 0.02), [0, 0, 0]), *knobs))
     small, large = towards([-1, 0, 0], name="small"), towards([0, -1, 0], name="large")
     found = choose_next_touch(modes_of(obj, np.eye(4), HALF_TURN), [small, large])
     assert [rated.approach.name for rated in found.ranked] == ["large", "small"]

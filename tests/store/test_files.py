@@ -221,7 +221,6 @@ def test_a_folder_set_aside_is_restored_before_a_replacement(tmp_path):
     assert names(tmp_path) == ["folder"]
 
 
-@pytest.mark.usefixtures("any_file_system")
 @pytest.mark.parametrize("fails", ["os.fsync", "os.rename", "pathlib.Path.rename"])
 def test_a_disk_error_leaves_the_old_folder(tmp_path, monkeypatch, fails):
     replace(tmp_path / "folder", "old")

@@ -10,7 +10,6 @@ import pytest
 from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.store.artifact import read_packed, write_packed
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
 
 KEY = StageKey("shapes", 1, {"of": "a test"})
 MOSTLY_EMPTY = np.pad(np.arange(64, dtype=np.uint16).reshape(8, 8), 60, constant_values=65535)
@@ -31,15 +30,8 @@ def test_a_mostly_empty_array_needs_a_tenth_of_the_space(tmp_path):
     assert (tmp_path / "a.npz").stat().st_size < 50 * MOSTLY_EMPTY.nbytes / 10
 
 
-def test_the_store_packs_arrays_on_request(tmp_path):
-    store = StageStore(tmp_path)
-    artifact = store.build(KEY, lambda work: work.save_array("codes", MOSTLY_EMPTY, packed=True))
-    assert artifact.names == ("codes.npz",)
-    np.testing.assert_array_equal(artifact.load_array("codes"), MOSTLY_EMPTY)
-
-
-def test_an_interrupted_build_finds_packed_arrays_again(tmp_path):
-    store, made = StageStore(tmp_path), []
+def test_the_store_packs_arrays_on_request_and_an_interrupted_build_finds_them_again(store):
+    made = []
 
     def build(work, interrupted):
         found = work.load("codes")
@@ -52,12 +44,14 @@ def test_an_interrupted_build_finds_packed_arrays_again(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         store.build(KEY, lambda work: build(work, True))
-    store.build(KEY, lambda work: build(work, False))
+    artifact = store.build(KEY, lambda work: build(work, False))
     assert len(made) == 1
+    assert artifact.names == ("codes.npz",)
+    np.testing.assert_array_equal(artifact.load_array("codes"), MOSTLY_EMPTY)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK nothing", "cut", "other"])
-def test_files_without_a_packed_array_are_refused(tmp_path, content):
+def test_files_without_a_packed_array_are_refused(tmp_path, store, content):
     path = tmp_path / "codes.npz"
     write_packed(path, MOSTLY_EMPTY)
     if content == "cut":
@@ -68,9 +62,8 @@ def test_files_without_a_packed_array_are_refused(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(ValueError, match=r"packed|file"):
         read_packed(path)
-    artifact = StageStore(tmp_path / "store").build(
-        KEY, lambda work: work.save_file("codes.npz", lambda to: to.write_bytes(path.read_bytes()))
-    )
+    content = path.read_bytes()
+    artifact = store.build(KEY, lambda work: work.save_file("codes.npz", lambda to: to.write_bytes(content)))
     with pytest.raises(StoreError, match=r"codes\.npz"):
         artifact.load_array("codes")
 
