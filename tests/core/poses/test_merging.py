@@ -48,9 +48,6 @@ def test_the_choice_equals_a_plain_search(radius, count):
     assert choose_apart(points, radius, count).tolist() == expected
 
 
-def test_equal_points_are_chosen_once():
+def test_equal_points_are_chosen_once_and_no_points_give_no_choice():
     assert choose_apart(np.zeros((4, 2)), 0.0, 9).tolist() == [0]
-
-
-def test_no_points_give_no_choice():
     assert choose_apart(np.zeros((0, 12)), 1.0, 5).tolist() == []

@@ -185,7 +185,11 @@ def test_the_mean_spacing_of_a_lattice_is_its_pitch(box, cylinder):
     assert PoseGrid(make_translation(x) @ cylinder.symmetry.list_elements(0.5)[3], PoseMetric(cylinder)).spacing_m == (
         pytest.approx(0.003)
     )
-    assert PoseGrid(make_translation(x[:1]), PoseMetric(box)).spacing_m == np.inf
+    grid, alone = (PoseGrid(make_translation(some), PoseMetric(box)) for some in (x, x[:1]))
+    np.testing.assert_allclose(grid.neighbour_spacing(), 0.003)
+    np.testing.assert_allclose(grid.neighbour_spacing(np.array([0, 7])), [0.003, 0.003])
+    assert alone.spacing_m == np.inf
+    assert alone.neighbour_spacing().tolist() == [np.inf]
 
 
 def test_the_mean_spacing_of_a_large_grid_includes_all_parts(box):
@@ -195,14 +199,6 @@ def test_the_mean_spacing_of_a_large_grid_includes_all_parts(box):
     two = PoseGrid(make_translation([[0, 0, 0], [0, 0.004, 0.0]]), PoseMetric(box))
     assert two.spacing_m == pytest.approx(0.004)
     assert two.neighbour_spacing() == pytest.approx([0.004, 0.004])
-
-
-def test_the_neighbour_spacing_of_a_lattice_is_its_pitch(box):
-    x = np.stack(np.meshgrid(np.arange(5), np.arange(4), [0]), -1).reshape(-1, 3) * 0.003
-    grid = PoseGrid(make_translation(x), PoseMetric(box))
-    np.testing.assert_allclose(grid.neighbour_spacing(), 0.003)
-    np.testing.assert_allclose(grid.neighbour_spacing(np.array([0, 7])), [0.003, 0.003])
-    assert PoseGrid(make_translation(x[:1]), PoseMetric(box)).neighbour_spacing().tolist() == [np.inf]
 
 
 def test_find_within_includes_symmetric_poses(make_box):
@@ -236,14 +232,11 @@ def test_removal_keeps_no_two_poses_within_the_radius(cylinder):
     assert gaps.min(axis=1).max() <= 1.01 * radius_m, "every removed pose is near a kept one"
 
 
-def test_removal_keeps_all_poses_of_an_asymmetric_object(box):
+def test_removal_keeps_all_poses_of_an_asymmetric_object_and_accepts_none(box, cylinder):
     T = np.repeat(random_poses(2, 23), 2, axis=0)
     assert remove_equivalent(T, PoseMetric(box), 0.001).all()
-    assert remove_equivalent(T[:0], PoseMetric(box), 0.001).shape == (0,)
-
-
-def test_removal_accepts_no_poses(cylinder):
-    assert remove_equivalent(np.zeros((0, 4, 4)), PoseMetric(cylinder), 0.001).shape == (0,)
+    for obj in (box, cylinder):
+        assert remove_equivalent(T[:0], PoseMetric(obj), 0.001).shape == (0,)
 
 
 @pytest.fixture(params=["none", "x2*y2", "zinf*x2"])

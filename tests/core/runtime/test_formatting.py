@@ -17,43 +17,19 @@ from tactile_loc.core.runtime.formatting import (
 )
 
 
-def test_lengths_have_three_digits():
-    assert [format_mm(v) for v in (2.1e-5, 1.94e-3, 4.82e-2)] == ["0.021", "1.94", "48.2"]
-
-
 @pytest.mark.parametrize(
-    ("share", "text"),
+    ("write", "texts"),
     [
-        (1.0, "100 %"),
-        (0.997, "99.7 %"),
-        (0.99, "99 %"),
-        (0.612, "61 %"),
-        (0.028, "2.8 %"),
-        (0.0004, "< 0.1 %"),
-        (0.0, "< 0.1 %"),
+        (format_mm, {2.1e-5: "0.021", 1.94e-3: "1.94", 4.82e-2: "48.2"}),
+        (format_millimetres, {1.9e-5: "0.02 mm", 0.00187: "1.9 mm", 0.0478: "48 mm"}),
+        (format_percent, {1.0: "100 %", 0.997: "99.7 %", 0.99: "99 %", 0.612: "61 %", 0.028: "2.8 %"}),
+        (format_percent, {0.0004: "< 0.1 %", 0.0: "< 0.1 %"}),
+        (format_bytes, {0: "0 B", 999: "999 B", 1000: "1 kB", 12_345_678: "12.3 MB", 4_560_000_000: "4.56 GB"}),
+        (format_duration, {0.0123: "12.3 ms", 0.9999: "999.9 ms", 4.54: "4.5 s"}),
     ],
 )
-def test_shares_are_written_as_percentages(share, text):
-    assert format_percent(share) == text
-
-
-@pytest.mark.parametrize(("length", "text"), [(1.9e-5, "0.02 mm"), (0.00187, "1.9 mm"), (0.0478, "48 mm")])
-def test_lengths_are_written_in_millimetres(length, text):
-    assert format_millimetres(length) == text
-
-
-def test_sizes_are_written_in_bytes():
-    assert [format_bytes(n) for n in (0, 999, 1000, 12_345_678, 4_560_000_000)] == [
-        "0 B",
-        "999 B",
-        "1 kB",
-        "12.3 MB",
-        "4.56 GB",
-    ]
-
-
-def test_durations_are_written_with_a_unit():
-    assert [format_duration(s) for s in (0.0123, 0.9999, 4.54)] == ["12.3 ms", "999.9 ms", "4.5 s"]
+def test_values_are_written_with_few_digits_and_a_unit(write, texts):
+    assert {value: write(value) for value in texts} == texts
 
 
 @pytest.mark.parametrize(

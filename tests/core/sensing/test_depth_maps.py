@@ -211,7 +211,6 @@ def test_difficult_real_touches_are_not_refused(sensor: type[GelSlim]) -> None:
             Touch.from_depth(PRESS_M - depth_m, kind="indentation", sensor=geometry, name=name)
 
 
-MM = 1e-3
 SENSOR = SensorGeometry("orthographic", 60, 40, 1e4, 1e4, 30, 20, standoff_m=10 * MM, max_depth_m=1 * MM)
 
 

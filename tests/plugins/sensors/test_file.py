@@ -123,15 +123,10 @@ def test_a_sensor_from_a_file_accepts_depths_and_no_images(tmp_path: Path) -> No
         sensor.contact_shape(np.zeros((240, 320, 3), np.uint8))
 
 
-@pytest.mark.parametrize("key", PINHOLE)
-def test_missing_keys_are_named(tmp_path: Path, key: str) -> None:
+@pytest.mark.parametrize(("values", "key"), [*((PINHOLE, key) for key in PINHOLE), (ORTHOGRAPHIC, "mm_per_px")])
+def test_missing_keys_are_named(tmp_path: Path, values: dict, key: str) -> None:
     with pytest.raises(SensorError, match=naming("sensor.toml", key)):
-        read_sensor_file(write(tmp_path, PINHOLE, **{key: None}))
-
-
-def test_an_orthographic_sensor_needs_its_scale(tmp_path: Path) -> None:
-    with pytest.raises(SensorError, match=naming("sensor.toml", "mm_per_px")):
-        read_sensor_file(write(tmp_path, ORTHOGRAPHIC, mm_per_px=None))
+        read_sensor_file(write(tmp_path, values, **{key: None}))
 
 
 @pytest.mark.parametrize(
