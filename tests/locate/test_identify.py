@@ -122,9 +122,8 @@ def test_an_object_that_becomes_probable_by_the_fits_is_fitted_too(unfitted, tou
     monkeypatch.setattr(module, "measure_misfits", compare)
     said = identify(touches["ring"], unfitted, null=NullEvidence(gap=5.0, temperature=0.5))
     assert list(dict.fromkeys(asked)) == ["ring", "plate"]
-    assert [(one.name, one.misfit, one.fitted) for one in said.objects] == [
-        ("plate", 3.0, True), ("rod", 9.0, False), ("ring", 50.0, True),
-    ]  # fmt: skip
+    expected = [("plate", 3.0, True), ("rod", 9.0, False), ("ring", 50.0, True)]
+    assert [(one.name, one.misfit, one.fitted) for one in said.objects] == expected
 
 
 @pytest.mark.slow
@@ -148,12 +147,6 @@ def test_a_probable_object_has_probabilities_fitted_to_it(unfitted, touches, tmp
     assert (built.count("temperature"), built.count("fused-temperature")) == (1, 1)
     alone = localize_together([(library[1], touch) for touch in touches["ring"]])
     assert [h.probability for h in said.objects[0].found.hypotheses] == [h.probability for h in alone.hypotheses]
-
-
-def test_several_touches_need_the_poses_of_their_sensors(models, touches):
-    lost = [dataclasses.replace(touch, T_base_sensor=None) for touch in touches["ring"]]
-    with pytest.raises(ConfigError, match=naming("touch 1", "T_base_sensor")):
-        identify(lost, models)
 
 
 def test_a_pose_that_explains_the_whole_touch_has_no_misfit(models, touches):
@@ -199,3 +192,6 @@ def test_invalid_touches_and_models_are_refused(models, touches):
         identify(touches["plate"], [models[0], models[0]])
     with pytest.raises(TouchError):
         identify([], models)
+    lost = [dataclasses.replace(touch, T_base_sensor=None) for touch in touches["ring"]]
+    with pytest.raises(ConfigError, match=naming("touch 1", "T_base_sensor")):
+        identify(lost, models)
