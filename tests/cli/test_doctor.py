@@ -177,18 +177,14 @@ def test_plugins_that_failed_to_load_are_named_and_not_fatal(cli, libraries, mon
     assert done.exit_code == 0
 
 
-def test_missing_built_in_components_are_fatal(cli, libraries, monkeypatch):
-    libraries()
-    monkeypatch.setattr(registry_module, "registry", lambda: Registry([]))
-    assert cli("doctor").exit_code == 1
-
-
-def test_an_unwritable_store_is_fatal(cli, libraries):
+def test_an_unwritable_store_and_missing_built_in_components_are_fatal(cli, libraries, monkeypatch):
     libraries()
     Path("file").write_text("mine")
     done = cli("doctor", "--store", "file/store")
     assert done.exit_code == 1
     assert not missing(done.stdout, "TACTILE_LOC_STORE", "--store")
+    monkeypatch.setattr(registry_module, "registry", lambda: Registry([]))
+    assert cli("doctor").exit_code == 1
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the check is for Linux")

@@ -58,6 +58,8 @@ def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
 def test_bad_input_is_one_sentence(cli, result):
     poses = listed("poses.toml", motion(0))
     assert_refused(cli("next-touch", "nowhere.json", "--candidates", poses), "nowhere.json")
+    for source in ([], ["--candidates", poses, "--around", "3"]):
+        assert_refused(cli("next-touch", result, *source), "--candidates", "--around")
     Path("empty").mkdir()
     assert_refused(cli("next-touch", "empty", "--candidates", poses), "empty", "result.json")
     assert_refused(cli("next-touch", result, "--candidates", "no.toml"), "no.toml")
@@ -78,12 +80,6 @@ def test_drawn_approaches_are_written_for_the_next_call(cli, result):
     assert [one["information_nats"] for one in again["ranked"]] == pytest.approx(
         [one["information_nats"] for one in said["ranked"]]
     )
-
-
-def test_approaches_have_one_source(cli, result):
-    poses = listed("poses.toml", motion(0))
-    assert_refused(cli("next-touch", result), "--candidates", "--around")
-    assert_refused(cli("next-touch", result, "--candidates", poses, "--around", "3"), "--candidates", "--around")
 
 
 def test_a_finger_that_hits_the_object_is_out_of_reach(cli, result):
