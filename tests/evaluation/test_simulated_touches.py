@@ -114,7 +114,7 @@ def write_altered(folder: Path, to: Path) -> Path:
     return write_calibration(to, calibration.geometry, calibration.background, calibration.estimator, kept)
 
 
-def test_sensors_that_cannot_read_their_own_images_are_refused(folder, store, tmp_path):
+def test_sensors_that_cannot_read_their_own_images_and_noise_of_contact_shapes_are_refused(folder, store, tmp_path):
     unreadable = Localizer.create("pin", store=store, sensor="gelslim")
     with pytest.raises(ConfigError, match=naming("gelslim", "tactile-loc calibrate --simulated", "`sensor`")):
         IMAGES.require_readable(unreadable)
@@ -126,8 +126,5 @@ def test_sensors_that_cannot_read_their_own_images_are_refused(folder, store, tm
     with pytest.raises(CalibrationError, match=naming(real, "tactile-loc calibrate --simulated")):
         IMAGES.require_readable(localizer)
     SimulatedTouches().require_readable(located(real, store))
-
-
-def test_images_with_noise_of_contact_shapes_are_refused():
     with pytest.raises(ConfigError, match=naming("'mild'", "`noise`")):
         SimulatedTouches("mild", images=True)

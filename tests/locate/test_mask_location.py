@@ -53,13 +53,9 @@ def test_the_true_pose_explains_its_mask(localizer, examples):
     for touch in (touch for touches in examples for touch in touches):
         iou = localizer.scene.match_touch(touch).contact_iou(touch.T_sensor_object, touch)
         assert iou > 0.85
-
-
-def test_a_pose_is_drawn_with_the_contact_that_is_compared(localizer, examples):
     touch = examples[0][0]
-    shown = localizer.scene.show_like(touch.T_sensor_object, touch).contact
-    mask = touch.contact_shape.contact
-    assert np.count_nonzero(shown & mask) > 0.85 * np.count_nonzero(shown | mask)
+    shown, mask = localizer.scene.show_like(touch.T_sensor_object, touch).contact, touch.contact_shape.contact
+    assert np.count_nonzero(shown & mask) > 0.85 * np.count_nonzero(shown | mask), "another contact is drawn"
 
 
 def test_a_mask_is_located_on_a_listed_grid(store):
@@ -77,12 +73,9 @@ def test_a_mask_is_read_from_a_file(localizer, examples, tmp_path):
     np.testing.assert_array_equal(localizer.read_touch(path).contact_shape.contact, touch.contact_shape.contact)
 
 
-def test_no_coverage_is_promised_for_a_mask(localizer, examples):
+def test_no_coverage_is_promised_for_a_mask_and_an_encoder_trained_on_depths_refuses_it(localizer, examples, store):
     with pytest.raises(ConfigError):
         localizer.localize(examples[0][0], coverage=0.9)
-
-
-def test_an_encoder_trained_on_depths_refuses_a_mask(store, examples):
     trained = Localizer.create("pin", store=store, sensor=SENSOR, encoder="moco")
     with pytest.raises(TouchError, match="pixel"):
         trained.localize(examples[0][0])

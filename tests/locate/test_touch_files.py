@@ -18,7 +18,6 @@ from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.touch_files import (
     COLUMNS,
-    LocatedFile,
     find_touches,
     is_folder,
     is_list,
@@ -73,10 +72,8 @@ def test_the_contact_shapes_of_simulated_touches_are_chosen(folder):
     (folder / "poses.json").touch()
     assert [path.name for path in find_touches(folder)] == ["b.npz"]
     (folder / "b.npz").unlink()
-    assert [path.name for path in find_touches(folder)] == [
-        "a.PNG",
-        "c.npy",
-    ]  # an array file has the same name as the image
+    found = [path.name for path in find_touches(folder)]
+    assert found == ["a.PNG", "c.npy"]  # an array file has the same name as the image
 
 
 def test_each_file_is_located_or_gets_a_reason(localizer: Localizer, tmp_path):
@@ -87,6 +84,7 @@ def test_each_file_is_located_or_gets_a_reason(localizer: Localizer, tmp_path):
     assert bad[1] is None
     assert "bad.npz" in bad[0].problem
     assert good[0].best is good[1].best
+    assert bad[0].make_row() == {"touch": "bad.npz", "verdict": "", "says": bad[0].problem}
     assert (bad[0].verdict, good[0].verdict) == (None, good[1].verdict)
     path = write_table(tmp_path / "results.csv", [bad[0], good[0]])
     with path.open() as file:
@@ -140,8 +138,3 @@ def test_a_list_names_a_sensor_unless_it_has_options_or_another_name_than_unicod
         ("calibrated", {"path": str(tmp_path / "calibrated")}, "../calibrated"),
     ):
         assert name_listed_sensor(SlotConfig(name=name, options=options), tmp_path / "out") == listed
-
-
-def test_a_file_that_cannot_be_located_gets_a_row_with_name_and_reason():
-    row = LocatedFile(Path("a/b.npz"), problem="empty").make_row()
-    assert row == {"touch": "b.npz", "verdict": "", "says": "empty"}

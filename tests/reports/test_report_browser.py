@@ -76,15 +76,13 @@ def test_the_page_of_a_run_moves_the_object_to_the_chosen_candidate(show, run_fo
     vertices = object_points(browser)
     scene = find(browser, "#scene")
     browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", scene)
-    before, camera = (
-        pixels(scene),
-        browser.execute_script("return document.getElementById('scene').layout.scene.camera"),
-    )
+    view = "return document.getElementById('scene').layout.scene.camera"
+    before, camera = pixels(scene), browser.execute_script(view)
     rows = browser.find_elements("css selector", "tr.pick")
     assert len(rows) == len(result["hypotheses"]) > 1
     browser.execute_script("arguments[0].click()", rows[1])
     after = pixels(scene)
-    assert camera == browser.execute_script("return document.getElementById('scene').layout.scene.camera")
+    assert camera == browser.execute_script(view)
     assert (np.abs(after - before).max(axis=2) > 20).sum() > CHANGED_PX
     first, second = (np.array(h["T_sensor_object"]) for h in result["hypotheses"][:2])
     move = second @ np.linalg.inv(first)

@@ -52,26 +52,23 @@ def test_a_difference_is_red_for_deeper_pixels_and_blue_for_shallower_ones(shape
     assert not pixels(draw_difference(observed, observed, flat_camera))[..., 3].any()
 
 
-def test_an_outline_encloses_the_contact_in_mm(shapes, flat_camera):
-    path = trace_outline(shapes[0], flat_camera)
-    x, y = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path), float).T
+def read_points(path: str) -> np.ndarray:
+    """The points (N, 2) of an SVG path."""
+    return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path), float)
+
+
+def test_an_outline_encloses_the_contact_alone_in_mm(shapes, flat_camera, press_block_elastically):
+    x, y = read_points(trace_outline(shapes[0], flat_camera)).T
     sx, sy = flat_camera.scale_at_surface
     expected = [1e3 * (20 - flat_camera.cx) / sx, 1e3 * (40 - flat_camera.cx) / sx]
     assert [x.min(), x.max()] == pytest.approx(expected, abs=0.01)
     assert [y.min(), y.max()] == pytest.approx([1e3 * (v - flat_camera.cy) / sy for v in (10, 30)], abs=0.01)
-
-
-def test_the_outline_on_an_elastic_gel_encloses_the_contact_alone(press_block_elastically):
     touch = press_block_elastically(0.008, 0.006)
-    x, y = np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", trace_outline(touch.contact_shape, touch.geometry)), float).T
-    assert [np.ptp(x), np.ptp(y)] == pytest.approx([8, 6], abs=1.0)
-
-
-def test_an_outline_at_the_border_is_closed(flat_camera):
-    shape = ContactShape(np.zeros(flat_camera.shape, np.float32), 0.002)
-    path = trace_outline(shape, flat_camera)
-    points = re.findall(r"(-?[\d.]+) (-?[\d.]+)", path)
-    assert points[0] == points[-1]
+    sides_mm = np.ptp(read_points(trace_outline(touch.contact_shape, touch.geometry)), axis=0)
+    assert sides_mm == pytest.approx([8, 6], abs=1.0)
+    everywhere = ContactShape(np.zeros(flat_camera.shape, np.float32), 0.002)
+    points = read_points(trace_outline(everywhere, flat_camera))
+    assert (points[0] == points[-1]).all(), "an outline at the border is not closed"
 
 
 def test_pictures_label_their_axes_and_escape_markup(shapes, flat_camera):

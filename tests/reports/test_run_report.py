@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from message_helpers import missing
 from report_helpers import Elements, floats, html_of, numbers_in, page_in
 
 from tactile_loc.core.geometry.rigid import rotation_about
-from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import MEANINGS
 from tactile_loc.reports.page import render
@@ -129,9 +127,3 @@ def test_a_touch_from_an_image_shows_the_image(run_folder):
     plain, found = (Elements(render(make_result_page(one))) for one in (loaded, seen))
     assert len(found.named("image")) == len(plain.named("image")) + 1
     assert found.text != plain.text, "the image has no caption"
-
-
-def test_a_run_without_its_arrays_gives_a_one_sentence_error(run_folder, tmp_path):
-    shutil.copy(run_folder / "result.json", tmp_path)
-    with pytest.raises(ResultError, match=r"result\.npz"):
-        page_in(tmp_path)

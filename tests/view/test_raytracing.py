@@ -28,9 +28,8 @@ def test_a_box_has_the_right_area_and_volume():
     a, b, c = np.moveaxis(BLOCK, 1, 0)
     normals = np.cross(b - a, c - a) / 2
     assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(2 * (4 * 2 + 4 * 3 + 2 * 3))
-    assert abs(np.einsum("ij,ij->i", a, normals).sum() / 3) == pytest.approx(
-        4 * 2 * 3
-    )  # all faces have the same winding
+    volume = np.einsum("ij,ij->i", a, normals).sum() / 3
+    assert abs(volume) == pytest.approx(4 * 2 * 3)  # all faces have the same winding
 
 
 def test_rays_meet_the_nearest_surface():
@@ -60,7 +59,7 @@ def test_a_shadow_lies_opposite_the_light():
     assert dark.mean(axis=0)[:2] == pytest.approx(-5 * LIGHT[:2] / LIGHT[2], abs=0.6)
 
 
-def test_shading_is_transparent_beside_the_object():
+def test_shading_is_transparent_beside_the_object_and_shrinking_weights_by_opacity():
     tracer = Tracer([BLOCK], FRONT)
     seen = tracer.look((-5, 5, -1, 6), (70, 100))
     image = shade(seen, np.array([[1.0, 0.5, 0.0]]), np.zeros(seen.surface.shape, bool))
@@ -71,9 +70,6 @@ def test_shading_is_transparent_beside_the_object():
     assert (lit <= 1).all()
     shadowed = shade(seen, np.array([[1.0, 0.5, 0.0]]), seen.hit)
     assert (shadowed[seen.hit][:, 0] < lit[:, 0]).all()
-
-
-def test_shrinking_weights_colours_by_opacity():
     image = np.zeros((2, 4, 4))
     image[0, 0] = [1.0, 0.2, 0.0, 1.0]
     small = shrink(image, 2)

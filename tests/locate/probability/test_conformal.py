@@ -55,9 +55,6 @@ def test_a_ranking_tempers_the_probabilities():
     p = Ranking.of([4.0, 1.0], 0.3).probabilities
     assert p.sum() == pytest.approx(1.0)
     assert p[0] / p[1] == pytest.approx(4**POWER)
-
-
-def test_poses_without_probability_are_ranked_as_equals():
     assert Ranking.of([0.0, 0.0], 0.5).probabilities == pytest.approx([0.5, 0.5])
 
 
@@ -72,10 +69,12 @@ def test_an_impossible_coverage_is_refused(coverage):
         ConformalSets([0.4], RADIUS_M).find_level(coverage)
 
 
-def test_a_promised_set_has_no_reason():
-    found = PoseSet.of(Ranking.of([0.9, 0.1], 0.01), ConformalSets([0.0] * 30, RADIUS_M), 0.95)
+def test_a_promised_set_has_no_reason_and_contradictory_touches_get_no_promise():
+    ranking, sets = Ranking.of([0.9, 0.1], 0.01), ConformalSets([0.0] * 30, RADIUS_M)
+    found = PoseSet.of(ranking, sets, 0.95)
     assert (found.poses, found.elsewhere, found.promised, found.reason) == (1, False, True, "")
     assert (found.coverage, found.level, found.examples, found.radius_m) == (0.95, 0.0, 30, RADIUS_M)
+    assert PoseSet.of(ranking, sets, 0.95, contradictory=True).reason
 
 
 def test_a_set_includes_elsewhere_if_its_coverage_needs_it():
@@ -91,8 +90,3 @@ def test_a_coverage_that_too_few_examples_support_is_not_promised():
     assert (found.poses, found.elsewhere, found.promised) == (2, True, False)
     assert "4 simulated examples" in found.reason
     assert "80 %" in found.reason
-
-
-def test_contradictory_touches_get_no_promise():
-    sets = ConformalSets([0.0] * 30, RADIUS_M)
-    assert PoseSet.of(Ranking.of([0.9, 0.1], 0.01), sets, 0.95, contradictory=True).reason

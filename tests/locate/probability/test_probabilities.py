@@ -37,13 +37,10 @@ def drawn(scaling: TemperatureScaling, touches: int, rng: np.random.Generator, p
     return list(scores), np.array([rng.choice(poses, p=row) for row in p])
 
 
-def test_scores_become_a_softmax():
+def test_scores_become_a_softmax_and_the_tail_mixes_in_a_share_of_a_hotter_one():
     expected = np.exp(SCORES.astype(float) / 0.05)
-    np.testing.assert_allclose(np.exp(TemperatureScaling(0.05).log_p(SCORES)), expected / expected.sum(), rtol=1e-5)
-
-
-def test_the_tail_mixes_in_a_share_of_a_hotter_softmax():
     sharp, wide = (np.exp(TemperatureScaling(t).log_p(SCORES)) for t in (0.05, TAIL_HEAT * 0.05))
+    np.testing.assert_allclose(sharp, expected / expected.sum(), rtol=1e-5)
     np.testing.assert_allclose(np.exp(TemperatureScaling(0.05, 0.3).log_p(SCORES)), 0.7 * sharp + 0.3 * wide, rtol=1e-9)
 
 
@@ -142,10 +139,8 @@ def test_more_touches_explained_equally_well_are_more_surely_found():
     rng = np.random.default_rng(9)
     touches, explained = rng.choice([2, 3, 5], 2000), rng.random(2000)
     truth = np.where(touches * explained > 0.9, 0, -1)
-    fused = [
-        FusedExample(int(n), np.log([0.7, 0.3]), int(t), float(b))
-        for n, t, b in zip(touches, truth, explained, strict=True)
-    ]
+    examples = zip(touches, truth, explained, strict=True)
+    fused = [FusedExample(int(n), np.log([0.7, 0.3]), int(t), float(b)) for n, t, b in examples]
     fitted = fit_fused_scaling(fused, misses=True)
     assert fitted.elsewhere(0.3, 2) > 0.9
     assert fitted.elsewhere(0.3, 5) < 0.1
@@ -198,7 +193,7 @@ def test_invalid_scaling_parameters_are_refused(values):
         TemperatureScaling(*values)
 
 
-def test_a_localizer_fits_once_per_encoder(tmp_path, monkeypatch):
+def test_a_localizer_fits_once_per_encoder_unless_a_temperature_is_configured(tmp_path, monkeypatch):
     store = StageStore(tmp_path)
     first = Localizer.create("pin", store=store, **COARSE).probabilities.temperature_scaling
     assert first.tail in TAILS
@@ -207,16 +202,11 @@ def test_a_localizer_fits_once_per_encoder(tmp_path, monkeypatch):
     monkeypatch.setattr("tactile_loc.locate.probability.probabilities.fit_temperature_scaling", None)
     again = Localizer.create("pin", store=store, **COARSE)
     assert again.probabilities.temperature_scaling == first
+    given = Localizer.create("pin", store=StageStore(tmp_path / "new"), temperature=0.5, **COARSE)
+    assert given.probabilities.temperature_scaling == TemperatureScaling(0.5)
     keys = {localizer.probabilities.temperature_key().digest for localizer in (again, other)}
     monkeypatch.setattr(module, "SEED", 1)
     assert len({*keys, again.probabilities.temperature_key().digest}) == 3
-
-
-def test_a_configured_temperature_is_used(tmp_path, monkeypatch):
-    monkeypatch.setattr("tactile_loc.locate.probability.probabilities.fit_temperature_scaling", None)
-    assert Localizer.create(
-        "pin", store=StageStore(tmp_path), temperature=0.5, **COARSE
-    ).probabilities.temperature_scaling == TemperatureScaling(0.5)
 
 
 @pytest.mark.slow

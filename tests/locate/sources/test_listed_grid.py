@@ -68,7 +68,9 @@ def build(scene: Scene, sampler: FaceGrid, store: StageStore) -> ObjectPoseModel
     return build_model(scene, sampler, store, Progress())
 
 
-def test_stored_shapes_decode_to_the_rendered_shapes(make_pin_scene, sampler, own_store):
+def test_stored_shapes_decode_to_the_rendered_ones_and_are_cut_for_lighter_presses(
+    make_pin_scene, sampler, own_store
+):
     scene = make_pin_scene()
     model = build(scene, sampler, own_store)
     rendered = scene.render_grid_depths(model.grid.T_sensor_object)
@@ -76,13 +78,18 @@ def test_stored_shapes_decode_to_the_rendered_shapes(make_pin_scene, sampler, ow
     assert decoded.dtype == np.float32
     assert decoded.shape == (model.size, *scene.geometry.shape)
     max_depth_m = scene.geometry.max_depth_m
-    assert (
-        np.abs(decoded - rendered).max() <= 0.51 * max_depth_m / 65535 + 3e-9
-    )  # half a step of the storage, plus float32 rounding
+    half_step_m = 0.51 * max_depth_m / 65535
+    assert np.abs(decoded - rendered).max() <= half_step_m + 3e-9  # with float32 rounding
     touching = rendered < np.float32(max_depth_m)
     assert np.array_equal(decoded < np.float32(max_depth_m), touching)
     for index in (0, 1, SHARD - 1, SHARD, model.size - 1):
         assert np.array_equal(model.shapes.shape(index, max_depth_m), decoded[index])
+    press_m = 0.0007
+    cut = np.concatenate(list(model.shapes.shards(press_m)))
+    exact = scene.render_contact_depths(model.grid.T_sensor_object, press_m)
+    assert cut.max() == np.float32(press_m)
+    assert np.abs(cut - exact).max() < 2e-8
+    assert np.array_equal(model.shapes.shape(3, press_m), cut[3])
 
 
 def test_a_barely_touching_pixel_still_touches_after_storage():
@@ -97,17 +104,6 @@ def test_a_barely_touching_pixel_still_touches_after_storage():
         < np.float32(max_depth_m),
         depths < np.float32(max_depth_m),
     )
-
-
-def test_lighter_presses_are_cut_from_the_full_press(make_pin_scene, sampler, own_store):
-    scene = make_pin_scene()
-    model = build(scene, sampler, own_store)
-    press_m = 0.0007
-    cut = np.concatenate(list(model.shapes.shards(press_m)))
-    exact = scene.render_contact_depths(model.grid.T_sensor_object, press_m)
-    assert cut.max() == np.float32(press_m)
-    assert np.abs(cut - exact).max() < 2e-8
-    assert np.array_equal(model.shapes.shape(3, press_m), cut[3])
 
 
 def test_poses_with_too_little_contact_are_pruned(make_pin_scene, sampler, own_store):
