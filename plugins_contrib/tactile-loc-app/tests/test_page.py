@@ -51,14 +51,7 @@ def test_the_height_of_a_view_is_upright_and_across_the_way_of_sight():
     assert height[2] > 0
 
 
-def test_a_photo_is_scaled_to_its_neighbour():
-    photo = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
-    scaled = paint_photo(photo, (4, 6))
-    np.testing.assert_array_equal(scaled[::2, ::2], photo)
-    assert scaled.shape == (4, 6, 3)
-
-
-def test_the_picture_of_a_shape_shows_contact():
+def test_the_picture_of_a_shape_shows_contact_beside_a_scaled_photo():
     geometry = registry().create("sensor", MINI, {}).geometry.resize_long_side(72)
     depth = np.full(geometry.shape, 1e-3, np.float32)
     depth[20:30, 30:50] = 0
@@ -67,6 +60,10 @@ def test_the_picture_of_a_shape_shows_contact():
     assert (picture[4 * 25, 4 * 40] != picture[0, 0]).any()
     assert paint_beside(picture, picture).shape[1] > 2 * picture.shape[1]
     assert colour_probability(1.0, 1.0) != colour_probability(0.0, 1.0)
+    photo = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    scaled = paint_photo(photo, (4, 6))
+    np.testing.assert_array_equal(scaled[::2, ::2], photo)
+    assert scaled.shape == (4, 6, 3)
 
 
 def test_only_the_newest_request_counts():

@@ -11,13 +11,7 @@ from report_helpers import UNFRIENDLY, Elements
 from tactile_loc import StageStore, TactileLocError
 from tactile_loc.reports.page import Page, render
 
-from tactile_loc_benchmark.files import (
-    read_benchmark,
-    tabulate,
-    tabulate_methods,
-    tabulate_sources,
-    write_benchmark,
-)
+from tactile_loc_benchmark.files import read_benchmark, tabulate, tabulate_methods, tabulate_sources, write_benchmark
 from tactile_loc_benchmark.page import make_benchmark_page, show_sources
 
 
@@ -31,10 +25,11 @@ def elements(page) -> Elements:
     return Elements(render(page))
 
 
-def test_the_page_shows_all_tables(elements, finished):
+def test_the_page_shows_all_tables_and_failures(elements, finished):
     results = finished.results
     for row in (*tabulate(results.groups), *tabulate_sources(results), *tabulate_methods(results)):
         assert row in elements.rows
+    assert ["archive", "brick", "oracle", finished.failed[0].error] in elements.rows
 
 
 def test_scripts_draw_every_group_in_mm_and_percent(page, finished):
@@ -56,10 +51,6 @@ def test_each_source_has_an_example_touch(page, elements):
     assert len(elements.named("img")) == 3
 
 
-def test_failures_are_listed(elements, finished):
-    assert ["archive", "brick", "oracle", finished.failed[0].error] in elements.rows
-
-
 def test_the_files_make_the_same_page(page, finished, bench_store, tmp_path):
     write_benchmark(tmp_path, finished.results, list(show_sources(finished, StageStore(bench_store))))
     again = make_benchmark_page(*read_benchmark(tmp_path))
@@ -68,12 +59,7 @@ def test_the_files_make_the_same_page(page, finished, bench_store, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "content"),
-    [
-        ("rows.parquet", None),
-        ("rows.parquet", b"no table"),
-        ("benchmark.json", b"{}"),
-        ("benchmark.json", b"[1"),
-    ],
+    [("rows.parquet", None), ("rows.parquet", b"no table"), ("benchmark.json", b"{}"), ("benchmark.json", b"[1")],
 )
 def test_missing_or_damaged_files_are_refused(finished, tmp_path, name, content):
     write_benchmark(tmp_path, finished.results)

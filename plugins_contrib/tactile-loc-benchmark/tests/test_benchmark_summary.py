@@ -11,20 +11,9 @@ from tactile_loc_benchmark.summary import MethodResult, bootstrap, summarise
 
 def make_row(example=0, surface_mm=0.1, **changes):
     errors = {f"{prefix}{name}_mm": surface_mm for prefix in ("", "listed_") for name in ("surface", "add", "mssd")}
-    row = {
-        "source": "s",
-        "object": "o",
-        "method": "m",
-        "example": example,
-        "touches": 1,
-        "refused": 0,
-        "problem": "",
-        "verdict": "",
-        "determined": True,
-        "seconds": 0.5,
-        "diameter_m": 0.04,
-    }
-    return {**row, **errors, **changes}
+    names = {"source": "s", "object": "o", "method": "m", "problem": "", "verdict": ""}
+    numbers = {"example": example, "touches": 1, "refused": 0, "seconds": 0.5, "diameter_m": 0.04}
+    return {**names, **numbers, "determined": True, **errors, **changes}
 
 
 def shift_mean(values):
@@ -40,13 +29,10 @@ def test_the_interval_of_a_share_is_that_of_the_binomial_distribution():
     assert high == pytest.approx(share + half, abs=0.006)
 
 
-def test_examples_are_drawn_again_within_each_object():
+def test_examples_are_drawn_again_within_each_object_in_the_same_order():
     objects = np.repeat(["easy", "hard"], 50)
     values = (objects == "easy").astype(float)[:, None]
     assert bootstrap(values, objects, shift_mean) == ((0.5, 0.5),)
-
-
-def test_the_same_values_have_the_same_interval():
     values = np.random.default_rng(0).random((30, 2))
     assert bootstrap(values, np.full(30, "a"), shift_mean) == bootstrap(values, np.full(30, "a"), shift_mean)
 
@@ -72,14 +58,11 @@ def test_refused_presses_are_counted_once_for_each_example():
     assert [group.refused for group in summarise(rows)] == [3, 2]
 
 
-def test_probabilities_are_compared_with_the_share_of_right_poses():
+def test_probabilities_and_certain_poses_are_compared_with_the_share_of_right_poses():
     rows = [make_row(k, 0.1 if k < 6 else 9.0, probability=0.9, covered=k < 8) for k in range(10)]
     (group,) = summarise(rows)
     assert group.calibration_error == pytest.approx(0.3)
     assert group.covered == pytest.approx(0.8)
-
-
-def test_certain_poses_are_counted():
     (group,) = summarise([make_row(0, verdict="certain"), make_row(1, 9.0, verdict="certain"), make_row(2)])
     assert (group.certain, group.certain_right) == (2, 1)
 

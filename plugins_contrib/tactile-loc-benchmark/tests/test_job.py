@@ -75,12 +75,9 @@ def test_an_answer_that_is_none_gives_one_clear_error(run_small, tmp_path, fault
         (np.eye(4)[None], None, None),
     ],
 )
-def test_impossible_answers_are_refused(T, scores, p):
+def test_impossible_answers_are_refused_but_lists_are_not(T, scores, p):
     with pytest.raises(AnswerError, match=naming("a method returned")):
         ScoredPoses(T, scores, p)
-
-
-def test_answers_may_be_lists():
     answer = ScoredPoses([np.eye(4).tolist()], [1], [1])
-    assert answer.T_base_object.shape == (1, 4, 4)
+    assert answer.T_base_object.shape == (1, 4, 4), "answers may be lists"
     assert answer.scores.dtype == answer.probabilities.dtype == np.float64
