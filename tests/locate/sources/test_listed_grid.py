@@ -68,9 +68,7 @@ def build(scene: Scene, sampler: FaceGrid, store: StageStore) -> ObjectPoseModel
     return build_model(scene, sampler, store, Progress())
 
 
-def test_stored_shapes_decode_to_the_rendered_ones_and_are_cut_for_lighter_presses(
-    make_pin_scene, sampler, own_store
-):
+def test_stored_shapes_decode_to_the_rendered_ones_and_are_cut_for_lighter_presses(make_pin_scene, sampler, own_store):
     scene = make_pin_scene()
     model = build(scene, sampler, own_store)
     rendered = scene.render_grid_depths(model.grid.T_sensor_object)
