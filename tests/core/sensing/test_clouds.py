@@ -71,10 +71,16 @@ def walls_of(shape: ContactShape, camera: SensorGeometry) -> tuple[np.ndarray, n
     return points[len(flat) :], normals[len(flat) :]
 
 
-def test_a_flat_square_faces_the_sensor(camera):
-    points, normals = make_contact_cloud(square(camera, 20, 50), camera, walls=False)
-    assert len(points) == 900
+@pytest.mark.parametrize(("low", "high"), [(20, 50), (30, 31), (0, 0)])
+def test_each_pixel_of_a_flat_square_is_a_point_that_faces_the_sensor(camera, low, high):
+    points, normals = make_contact_cloud(square(camera, low, high), camera, walls=False)
+    sx, sy = camera.scale_at_surface
+    rows, columns = np.mgrid[low:high, low:high].reshape(2, -1) + 0.5
+    expected = [(columns - camera.cx) / sx, (rows - camera.cy) / sy, np.full(rows.shape, camera.standoff_m)]
+    np.testing.assert_allclose(points, np.stack(expected, axis=1), atol=1e-9)
     np.testing.assert_allclose(normals, np.broadcast_to([0, 0, -1.0], points.shape), atol=1e-9)
+    if low == high:
+        assert make_contact_cloud(square(camera, low, high), camera)[0].shape == (0, 3)
 
 
 def test_a_flat_square_has_walls_on_its_outline_with_lateral_normals(camera):
@@ -170,21 +176,6 @@ def test_a_step_within_the_contact_is_no_wall(camera):
     shape.depth_m[30:40, 30:40] = 0.001
     points, _ = make_contact_cloud(shape, camera)
     assert len(points) == len(make_contact_cloud(square(camera, 20, 50), camera)[0])
-
-
-def test_no_contact_gives_an_empty_cloud(camera):
-    for walls in (False, True):
-        points, normals = make_contact_cloud(square(camera, 0, 0), camera, walls)
-        assert points.shape == normals.shape == (0, 3)
-
-
-def test_a_single_pixel_faces_the_sensor(camera):
-    points, normals = make_contact_cloud(square(camera, 30, 31), camera, walls=False)
-    sx, sy = camera.scale_at_surface
-    np.testing.assert_allclose(
-        points, [[(30.5 - camera.cx) / sx, (30.5 - camera.cy) / sy, camera.standoff_m]], atol=1e-9
-    )
-    np.testing.assert_allclose(normals, [[0, 0, -1]])
 
 
 def test_the_cloud_scales_with_the_unit():

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 
-from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.core.sensing import gel_surface
 from tactile_loc.core.sensing.gel import Gel, compute_compliance, compute_smoothing, list_wave_numbers, make_solver
 from tactile_loc.core.sensing.gel_surface import deform_gel, find_touching, recover_contact
@@ -263,12 +262,3 @@ def test_a_coating_smooths_as_boussinesq_says():
         whole = 2 * math.pi * near + (1 - gel.poisson) * math.exp(-q * z) / q
         surface = compute_compliance(np.array([q]), Gel(1e3, gel.poisson))[0]
         assert whole / surface == pytest.approx(float(compute_smoothing(np.array([q]), gel)[0]), rel=0.02)
-
-
-def test_a_coating_is_part_of_the_gel():
-    assert Gel.of_description(COATED.describe()) == COATED
-    assert "coating_m" not in Gel(4e-3).describe()
-    with pytest.raises(SensorError):
-        Gel(1e-3, coating_m=2e-3)
-    with pytest.raises(SensorError):
-        Gel(4e-3, coating_m=-1e-4)

@@ -170,15 +170,16 @@ def test_the_stated_count_equals_the_real_count():
         HopfGrid(HopfGrid.Options(max_poses=true - 1)).sample(BRICK, GEOMETRY, 0.012)
 
 
-def test_a_level_too_high_is_refused():
-    with pytest.raises(GridError, match=naming("part", "10 mm", "level", "max_poses")):
-        HopfGrid(HopfGrid.Options(level=8)).sample(BRICK, GEOMETRY, 0.01)
-
-
-@pytest.mark.parametrize("spacing_m", [0.0, -1.0, np.nan, np.inf, 1e-9])
-def test_an_impossible_spacing_is_refused(spacing_m):
-    with pytest.raises(GridError, match=naming("0.001 mm")):
-        HopfGrid().sample(BRICK, GEOMETRY, spacing_m)
+@pytest.mark.parametrize(
+    ("level", "spacing_m", "values"),
+    [
+        (8, 0.01, ("part", "10 mm", "level", "max_poses")),
+        *((None, spacing_m, ("0.001 mm",)) for spacing_m in (0.0, -1.0, np.nan, np.inf, 1e-9)),
+    ],
+)
+def test_a_level_too_high_and_an_impossible_spacing_are_refused(level, spacing_m, values):
+    with pytest.raises(GridError, match=naming(*values)):
+        HopfGrid(HopfGrid.Options(level=level)).sample(BRICK, GEOMETRY, spacing_m)
 
 
 def test_random_poses_are_uniform_over_rotations_and_their_regions():
