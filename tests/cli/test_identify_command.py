@@ -78,17 +78,13 @@ def test_bad_input_is_one_sentence(cli, parts):
     assert_refused(cli("identify", "--objects", "nowhere", *touch), "nowhere", "folder")
     Path("empty").mkdir()
     assert_refused(cli("identify", "--objects", "empty", *touch), "empty", "mesh")
+    Path("empty/library.json").write_text("{}")
+    assert_refused(cli("identify", "--objects", "empty", *touch), "tactile-loc library identify empty --touch")
     assert_refused(cli(*IDENTIFY, "--touch", "no.npz"), "no.npz")
     assert_refused(cli(*IDENTIFY, *touch, "--unknown", 0), "prior=0.0")
     trimesh.creation.box((30, 20, 6)).export(parts / "plate.obj")
     assert_refused(cli(*IDENTIFY, *touch), "plate")
     assert not Path("tactile-loc-identify").exists()
-
-
-def test_a_library_is_identified_by_another_command(cli):
-    Path("lib").mkdir()
-    Path("lib/library.json").write_text("{}")
-    assert_refused(cli("identify", "--objects", "lib", "--touch", "t.npz"), "tactile-loc library identify lib --touch")
 
 
 def test_the_default_share_of_unknown_objects_is_that_of_python():

@@ -40,17 +40,13 @@ def metric() -> PoseMetric:
     return PoseMetric(ObjectModel("box", mesh, SymmetryGroup.parse("z2", np.zeros(3))))
 
 
-def test_candidates_that_end_at_the_same_pose_are_merged(metric):
+def test_candidates_that_end_at_the_same_pose_or_at_an_equal_one_by_symmetry_are_merged(metric):
     near, far = make_translation([2e-4, 0, 0]), make_translation([2e-3, 0, 0])
     found = merge_hypotheses([hypothesis(p, T) for p, T in ((0.5, np.eye(4)), (0.3, far), (0.2, near))], metric, 5e-4)
-    assert [h.probability for h in found] == pytest.approx(
-        [0.625, 0.375]
-    )  # the ratio is 5 to 3, and the sum is unchanged
+    merged = [h.probability for h in found]
+    assert merged == pytest.approx([0.625, 0.375])  # the ratio is 5 to 3, and the sum is unchanged
     assert [h.grid_poses for h in found] == [10, 5]
     np.testing.assert_array_equal(found[0].refined.T_sensor_object, np.eye(4))
-
-
-def test_poses_that_are_equal_by_symmetry_are_merged(metric):
     turned = np.eye(4)
     turned[:3, :3] = rotation_about([0, 0, 1], np.pi)
     assert len(merge_hypotheses([hypothesis(0.6, np.eye(4)), hypothesis(0.4, turned)], metric, 5e-4)) == 1

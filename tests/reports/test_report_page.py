@@ -19,7 +19,7 @@ def html(request) -> str:
     return html_of(request.getfixturevalue(request.param))
 
 
-def test_nothing_is_loaded_from_elsewhere(html):
+def test_a_page_loads_nothing_from_elsewhere_has_a_moderate_size_and_links_with_targets(html):
     found = Elements(html)
     for _, attributes in found.elements:
         for name in ("src", "href", "data", "action", "srcset", "poster"):
@@ -29,22 +29,15 @@ def test_nothing_is_loaded_from_elsewhere(html):
     (policy,) = [a["content"] for a in found.named("meta") if a.get("http-equiv") == "Content-Security-Policy"]
     assert str(policy).startswith("default-src 'none'")
     assert "http" not in str(policy)
+    assert len(re.findall(r"plotly\.js v\d", html)) == 1
+    assert 4e6 < len(html) < 8e6
+    names = [attributes["id"] for _, attributes in found.elements if "id" in attributes]
+    assert len(names) == len(set(names))
+    assert {a["href"] for a in found.named("a")} <= {f"#{name}" for name in names}
 
 
 def test_bytes_in_names_become_escapes():
     assert rb"folder Geh\xe4use" in render(Page("live", "title", "folder Geh\udce4use", [], {}, [])).encode()
-
-
-def test_the_page_contains_plotly_once_and_has_a_moderate_size(html):
-    assert len(re.findall(r"plotly\.js v\d", html)) == 1
-    assert 4e6 < len(html) < 8e6
-
-
-def test_ids_are_unique_and_links_have_targets(html):
-    found = Elements(html)
-    names = [attributes["id"] for _, attributes in found.elements if "id" in attributes]
-    assert len(names) == len(set(names))
-    assert {a["href"] for a in found.named("a")} <= {f"#{name}" for name in names}
 
 
 def test_user_names_are_shown_as_text(unfriendly_run, tmp_path):

@@ -46,7 +46,7 @@ def port(server) -> int:
     return server._server.get_port()
 
 
-def test_only_own_pages_are_answered(port):
+def test_only_own_pages_are_answered_and_connect_to_no_other_server(port):
     host, foreign = f"localhost:{port}", "http://evil.example"
     assert ask(port)[0] == 200
     for headers in ({"Host": f"evil.example:{port}"}, {"Host": host, "Origin": foreign}, {"Origin": f"http://{host}"}):
@@ -56,9 +56,6 @@ def test_only_own_pages_are_answered(port):
         assert open_socket(port, **headers) == 403
     assert open_socket(port, Host=host, Origin=f"http://{host}") == 101
     assert open_socket(port, Host=host) == 101
-
-
-def test_the_page_connects_to_no_other_server(port):
     policy = ask(port)[2]["Content-Security-Policy"]
     assert f"connect-src 'self' ws://127.0.0.1:{port} " in policy
     assert "frame-ancestors 'none'" in policy

@@ -32,16 +32,13 @@ def test_the_table_has_a_row_for_each_group(finished):
     assert [row[1] for row in rows if row[0] == "sketch"] == ["1", "1", "2", "2"]
 
 
-def test_the_markdown_has_a_row_for_what_was_left_out(written, finished):
+def test_the_markdown_has_a_row_for_what_was_left_out_and_the_parquet_file_all_rows(written, finished):
     text = (written / "benchmark.md").read_text()
     for label, problem in finished.results.left_out.items():
         (line,) = [line for line in text.splitlines() if line.startswith(f"| {label} |")]
         assert problem in line
     assert "public domain" in text
     assert "Anyone, anywhere" in text
-
-
-def test_all_rows_are_in_the_parquet_file(written, finished):
     rows = read_parquet(written / "rows.parquet", "")
     assert len(rows) == len(finished.results.rows)
     assert rows[0]["surface_mm"] == finished.results.rows[0]["surface_mm"]

@@ -91,14 +91,11 @@ def test_a_rating_is_exact_unless_it_is_below_the_least_one(places, rng, numbers
             assert rate_object(some, asked, TEMPERATURE, exact + more) <= exact
 
 
-def test_touches_vote_for_their_places(places, rng):
+def test_touches_vote_for_their_places_and_against_a_mirrored_object(places, rng):
     numbers = [5, 60, 131]
     votes = join_votes(places, touch_at(places, numbers, rng), TEMPERATURE)
     assert votes.numbers[np.arange(3), votes.nats.argmax(axis=1)].tolist() == numbers
     assert rate_object(places, touch_at(places, numbers, rng), TEMPERATURE) == pytest.approx(votes.nats.max())
-
-
-def test_a_mirrored_object_is_less_likely(places, rng):
     own, mirrored = (rate_object(places, touch_at(places, [5, 60], rng, sign), TEMPERATURE) for sign in (1, -1))
     assert own > mirrored + 1
 

@@ -52,15 +52,12 @@ def test_without_the_sensors_pose_there_is_no_pose_in_the_base_frame(hypothesis)
     assert unknown.base_covariance is None
 
 
-def test_quaternions_are_those_of_scipy(hypothesis):
+def test_quaternions_are_those_of_scipy_and_the_base_pose_is_a_message_of_ros_and_back(hypothesis):
     for q, T in (
         (hypothesis.quaternion_xyzw, hypothesis.T_sensor_object),
         (hypothesis.base_quaternion_xyzw, hypothesis.T_base_object),
     ):
         np.testing.assert_allclose(Rotation.from_quat(q).as_matrix(), T[:3, :3], atol=1e-12)
-
-
-def test_the_base_pose_is_a_message_of_ros_and_back(hypothesis):
     message = RosPose.of(hypothesis.T_base_object, hypothesis.base_covariance)
     np.testing.assert_allclose(message.T, hypothesis.T_base_object, atol=1e-12)
     np.testing.assert_allclose(message.quaternion_xyzw, hypothesis.base_quaternion_xyzw)
