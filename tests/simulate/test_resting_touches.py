@@ -37,12 +37,10 @@ def test_opposed_fingers_face_each_other(make_scene, pinhole, box, sampler):
         assert gap_m[2, 3] > 2 * pinhole.standoff_m
 
 
-def test_an_odd_number_of_opposed_touches_is_refused(make_scene, pinhole, box, sampler):
+def test_an_odd_number_of_opposed_touches_and_an_unknown_pose_are_refused(make_scene, pinhole, box, sampler):
+    scene, rng = make_scene(box, pinhole), np.random.default_rng(0)
     with pytest.raises(TouchError, match="3"):
-        draw_resting_touches(sampler, make_scene(box, pinhole), 3, np.random.default_rng(0), opposed=True)
-
-
-def test_a_touch_without_a_true_pose_cannot_be_placed(make_scene, pinhole, box, sampler):
-    (touch,) = simulate_touches(sampler, make_scene(box, pinhole), 1, np.random.default_rng(0))
+        draw_resting_touches(sampler, scene, 3, rng, opposed=True)
+    (touch,) = simulate_touches(sampler, scene, 1, rng)
     with pytest.raises(TouchError):
         rest([replace(touch, T_sensor_object=None)], np.eye(4))

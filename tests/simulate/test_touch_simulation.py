@@ -36,18 +36,15 @@ def test_touches_match_the_contact_shapes_of_their_true_poses(make_scene, pinhol
         np.testing.assert_allclose(in_contact[0], touch.T_sensor_object, atol=1e-12)
 
 
-def test_the_deepest_press_is_the_default(make_scene, pinhole, box, sampler):
-    (touch,) = simulate_touches(sampler, make_scene(box, pinhole), 1, np.random.default_rng(1))
-    assert touch.press_depth_m == pinhole.max_depth_m
+def test_the_same_seed_makes_the_same_touches_at_the_deepest_press(make_scene, pinhole, box, sampler):
+    def draw(count: int, seed: int):
+        return simulate_touches(sampler, make_scene(box, pinhole), count, np.random.default_rng(seed))
 
-
-def test_the_same_seed_makes_the_same_touches(make_scene, pinhole, box, sampler):
-    a, b, c = (
-        simulate_touches(sampler, make_scene(box, pinhole), 3, np.random.default_rng(seed)) for seed in (2, 2, 3)
-    )
-    for x, y, z in zip(a, b, c, strict=True):
+    for x, y, z in zip(draw(3, 2), draw(3, 2), draw(3, 3), strict=True):
+        assert x.press_depth_m == pinhole.max_depth_m
         assert np.array_equal(x.contact_shape.depth_m, y.contact_shape.depth_m)
         assert not np.allclose(x.T_sensor_object, z.T_sensor_object)
+    assert draw(0, 6) == []
 
 
 @pytest.mark.parametrize("press_m", [0.0, -0.001, 0.0021, float("nan")])
@@ -82,10 +79,6 @@ def test_a_press_that_leaves_no_imprint_is_refused(make_scene, flat_camera, make
     scene = make_scene(make_object(trimesh.creation.icosphere(4, 0.008)), flat_camera)
     with pytest.raises(TouchError, match=naming("part", "1e-06 mm")):
         simulate_touches(sampler, scene, 1, np.random.default_rng(5), 1e-9)
-
-
-def test_a_count_of_zero_gives_no_touches(make_scene, flat_camera, box, sampler):
-    assert simulate_touches(sampler, make_scene(box, flat_camera), 0, np.random.default_rng(6)) == []
 
 
 @pytest.mark.parametrize("press_m", [None, 0.00013, 0.0015])

@@ -38,11 +38,6 @@ def test_a_prior_without_one_log_weight_per_pose_is_refused(posterior, weights):
         ProductFuser().fuse([posterior], [None], lambda T: weights)
 
 
-def test_a_doubt_of_zero_takes_no_logarithm_of_zero(box):
-    with np.errstate(all="raise"):
-        ProductFuser().fuse(toys(box, 2), T_BASE[:2])
-
-
 def test_one_touch_needs_no_sensor_pose(posterior):
     for T in (None, T_BASE[1], np.full((4, 4), np.nan)):
         assert np.array_equal(ProductFuser().fuse([posterior], [T]).log_p, posterior.log_p)
@@ -163,6 +158,13 @@ def test_no_common_pose_names_the_contact(box):
     assert not missing(left.reason, "touch 3", 2, "T_base_sensor")
 
 
+def test_doubt_takes_no_logarithm_of_zero_and_keeps_no_pose_without_contact(box):
+    with np.errstate(all="raise"):
+        ProductFuser().fuse(toys(box, 2), T_BASE[:2])
+    fused = ProductFuser(ProductFuser.Options(reach=0.4, doubt=0.9)).fuse(toys(box, 3), T_BASE)
+    assert (fused.probabilities > 0).tolist() == [False, True, True, False]
+
+
 def test_contradicting_touches_leave_no_pose_or_are_doubted(box):
     one, other = toy(box, [0, 1], [1.0, 1.0]), toy(box, [0, 1], [1.0, 1.0], 1)
     yes, no = PosePosterior(one.grid, [0.0, -np.inf]), PosePosterior(other.grid, [-np.inf, 0.0])
@@ -173,11 +175,6 @@ def test_contradicting_touches_leave_no_pose_or_are_doubted(box):
     fused = ProductFuser(ProductFuser.Options(doubt=0.2)).fuse([yes, no, certain], T_BASE)
     ratio = np.array([(0.8 * 2 + 0.2) * 0.2 * (0.8 * 1.8 + 0.2), 0.2 * (0.8 * 2 + 0.2) * (0.8 * 0.2 + 0.2)])
     np.testing.assert_allclose(fused.probabilities, ratio / ratio.sum(), atol=1e-9)
-
-
-def test_a_pose_without_contact_is_dropped_in_spite_of_doubt(box):
-    fused = ProductFuser(ProductFuser.Options(reach=0.4, doubt=0.9)).fuse(toys(box, 3), T_BASE)
-    assert (fused.probabilities > 0).tolist() == [False, True, True, False]
 
 
 @pytest.mark.parametrize(

@@ -97,19 +97,16 @@ def test_garbage_collection_of_a_renderer_does_not_affect_another(camera, sphere
     assert unused._offscreen is None
 
 
-def test_a_closed_renderer_opens_again(camera, sphere, pressed, new_pyrender):
-    renderer = new_pyrender()
-    expected = renderer.render(sphere, pressed, camera)
-    renderer.close()
-    renderer.close()
-    np.testing.assert_array_equal(renderer.render(sphere, pressed, camera), expected)
-
-
-def test_sizes_and_meshes_may_alternate(camera, sphere, bracket, pressed, new_pyrender):
+def test_sizes_and_meshes_may_alternate_and_a_closed_renderer_opens_again(
+    camera, sphere, bracket, pressed, new_pyrender
+):
     renderer, small = new_pyrender(), camera.resize(45, 32)
     expected = renderer.render(sphere, pressed, camera)
     assert renderer.render(sphere, pressed, small).shape == (1, 32, 45)
     assert (renderer.render(bracket, pressed, camera) != expected).any()
+    np.testing.assert_array_equal(renderer.render(sphere, pressed, camera), expected)
+    renderer.close()
+    renderer.close()
     np.testing.assert_array_equal(renderer.render(sphere, pressed, camera), expected)
 
 
