@@ -9,8 +9,6 @@ import pytest
 
 from tactile_loc.bases.cloud_refiner import CloudRefiner, Registration, make_orthonormal
 from tactile_loc.core.geometry.rigid import make_translation
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.slots.registry import registry
 from tactile_loc.testing.problems import OFFSETS, press_block, replace_depth
 
 
@@ -114,9 +112,3 @@ def test_make_orthonormal_removes_rounding_errors():
     np.testing.assert_allclose(cleared[:3, :3] @ cleared[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(cleared, T, atol=1e-3)
     assert np.linalg.det(cleared[:3, :3]) > 0
-
-
-@pytest.mark.parametrize("name", ["icp", "filterreg", "kiss-icp"])
-def test_unknown_options_are_refused(name):
-    with pytest.raises(ConfigError, match="reach"):
-        registry().create("refiner", name, {"reach": 3})

@@ -259,11 +259,6 @@ def test_an_invalid_option_value_gives_an_error_with_the_fault(values, problem):
     assert "\n" not in str(refused.value)
 
 
-def test_an_option_of_a_component_without_options_is_refused():
-    with pytest.raises(ConfigError, match=naming("refiner 'none'", "'reach'")):
-        registry().create("refiner", "none", {"reach": 1})
-
-
 class Still(Refiner):
     """Returns the candidate."""
 

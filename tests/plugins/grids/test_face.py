@@ -144,17 +144,6 @@ def test_random_yaws_are_as_frequent_as_their_positions(flat_camera, make_box):
         assert abs(np.exp(4j * yaw).mean()) > 0.05
 
 
-def test_symmetric_yaws_coincide(pinhole, make_box, make_object):
-    """Otherwise equivalent poses interleave, and none of them is a duplicate that could be removed."""
-    for obj, order in (
-        (make_box(0.03, 0.02, 0.012, symmetry="x2*y2"), 2),
-        (make_object(trimesh.creation.cylinder(0.012, 0.01, sections=6), "z6"), 6),
-    ):
-        for spacing_m in np.linspace(0.003, 0.006, 7):
-            yaws = len(np.unique(face("+z").sample(obj, pinhole, spacing_m)[:, :2, :2].reshape(-1, 4).round(9), axis=0))
-            assert yaws % order == 0
-
-
 @pytest.mark.parametrize(
     ("symmetry", "normal", "turns"),
     [

@@ -9,7 +9,7 @@ from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
@@ -22,17 +22,6 @@ def test_a_candidate_above_the_sensor_is_brought_to_contact(pin_scene, pin_touch
     lifted = Candidate(make_translation([0.0, 0.0, 0.002]) @ candidate.T_sensor_object, 0, 0.0)
     a, b = (IcpRefiner().refine(touch, c, pin_scene).T_sensor_object for c in (candidate, lifted))
     np.testing.assert_allclose(a, b, atol=1e-6)
-
-
-def test_a_contact_of_one_pixel_does_not_converge(pin_scene):
-    g = pin_scene.geometry
-    depth = np.full(g.shape, 0.001, np.float32)
-    depth[100, 100] = 0.0
-    speck = Touch(ContactShape(depth, 0.001), g)
-    candidate = Candidate(pin_scene.bring_to_contact(np.eye(4)[None])[0][0], 0, 0.0)
-    refined = IcpRefiner(IcpRefiner.Options(walls=False)).refine(speck, candidate, pin_scene)
-    assert not refined.converged
-    assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
 
 
 def test_the_none_refiner_returns_the_candidate(pin_scene, pin_touches, off_by):
