@@ -95,19 +95,18 @@ def test_missing_damaged_or_foreign_weights_are_refused(cli):
     assert_refused(build(cli, *resnet, "encoder.pretrained=cut.safetensors"), "cut.safetensors", "damaged")
 
 
-def test_a_missing_gpu_is_refused(cli, monkeypatch):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert_refused(build(cli, "-o", "encoder.device=cuda"), "CUDA", "encoder.device")
-
-
-def test_a_grid_too_large_for_memory_is_refused(cli, monkeypatch):
-    monkeypatch.setattr(encoder, "_find_available_bytes", lambda: 10**5)
-    assert_refused(build(cli), "GiB", "encoder.negatives", "grid.spacing_mm")
-
-
-def test_a_nan_loss_is_refused(cli, monkeypatch):
-    monkeypatch.setattr(training.Trainer, "_step", lambda *a: float("nan"))
-    assert_refused(build(cli), "NaN", "encoder.rate")
+@pytest.mark.parametrize(
+    ("place", "name", "returned", "words", "mentioned"),
+    [
+        (torch.cuda, "is_available", False, ["-o", "encoder.device=cuda"], ("CUDA", "encoder.device")),
+        (encoder, "_find_available_bytes", 10**5, [], ("GiB", "encoder.negatives", "grid.spacing_mm")),
+        (training.Trainer, "_step", float("nan"), [], ("NaN", "encoder.rate")),
+    ],
+    ids=["no GPU", "little memory", "NaN"],
+)
+def test_a_training_that_cannot_succeed_is_refused(cli, monkeypatch, place, name, returned, words, mentioned):
+    monkeypatch.setattr(place, name, lambda *_: returned)
+    assert_refused(build(cli, *words), *mentioned)
     assert not [entry for entry in StageStore(Path("fresh")).entries() if entry.stage == "encoder" and entry.complete]
 
 

@@ -39,18 +39,13 @@ def test_a_shift_moves_every_point_by_its_length(box, points_m, true_pose):
     assert compute_add_s(points_m, shifted[None], true_pose)[0] < LENGTH_M
 
 
-def test_the_largest_distance_of_a_rotated_box_is_at_its_corners(box, true_pose):
+def test_the_largest_distance_of_a_rotated_box_is_at_its_eight_corners(box, true_pose, make_object):
     turned = true_pose @ turn([0, 0, 1], np.pi / 2)  # 30 x 20 mm across: the chord of a right angle
     expected_m = np.sqrt(2) * np.hypot(0.015, 0.010)
     assert compute_mssd(box, box.mesh.hull_corners_m, turned[None], true_pose) == pytest.approx(expected_m)
-
-
-def test_the_hull_of_a_box_has_eight_corners_and_a_flat_surface_keeps_its_vertices(box, make_object):
     assert len(box.mesh.hull_corners_m) == 8
-    from trimesh import Trimesh
-
-    square = make_object(Trimesh([[0, 0, 0], [0.01, 0, 0], [0.01, 0.01, 0], [0, 0.01, 0]], [[0, 1, 2], [0, 2, 3]]))
-    assert len(square.mesh.hull_corners_m) == 4
+    square = trimesh.Trimesh([[0, 0, 0], [0.01, 0, 0], [0.01, 0.01, 0], [0, 0.01, 0]], [[0, 1, 2], [0, 2, 3]])
+    assert len(make_object(square).mesh.hull_corners_m) == 4, "a flat surface keeps its vertices"
 
 
 def test_the_largest_distance_is_at_the_hull(cylinder, true_pose):
