@@ -27,10 +27,9 @@ def localizer(store) -> Localizer:
 
 def hide_depths(touch: Touch, sensor, known: bool = False) -> Touch:
     """Return what a sensor of contact alone sees of a touch; the press may be known."""
-    return Touch.from_mask(
-        touch.contact_shape.contact, sensor=sensor, press_depth_m=touch.press_depth_m if known else None,
-        T_sensor_object=touch.T_sensor_object, T_base_sensor=touch.T_base_sensor,
-    )  # fmt: skip
+    poses = {"T_sensor_object": touch.T_sensor_object, "T_base_sensor": touch.T_base_sensor}
+    press_depth_m = touch.press_depth_m if known else None
+    return Touch.from_mask(touch.contact_shape.contact, sensor=sensor, press_depth_m=press_depth_m, **poses)
 
 
 @pytest.fixture(scope="module")
