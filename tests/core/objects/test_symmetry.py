@@ -51,9 +51,12 @@ def test_the_elements_are_closed_under_product_and_inverse(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["none", "z6*x2", "zinf*x2", "x2*y2", "axis(0.58,0.58,0.58)3", "axis(1,-1,0.25)inf"])
-def test_parsing_and_writing_keep_the_text_without_case_and_spaces(text: str) -> None:
-    for written in (text, f" {text.upper().replace('*', ' * ').replace(',', ' , ').replace('(', '( ')} "):
-        assert str(SymmetryGroup.parse(written, CENTRE_M)) == text
+def test_parsing_and_writing_keep_the_text(text: str) -> None:
+    assert str(SymmetryGroup.parse(text, CENTRE_M)) == text
+
+
+def test_parsing_ignores_case_and_spaces() -> None:
+    assert str(SymmetryGroup.parse(" Z6 * axis( 1, 1.0 ,0 )2 ", CENTRE_M)) == "z6*axis(1,1,0)2"
 
 
 @pytest.mark.parametrize("text", ["sphere", "zinf*xinf", "zinf*x4", "zinf*axis(1,0,1)2", "axis(1,2,3)inf*z2"])
