@@ -26,7 +26,7 @@ FILE_ACCESS = {
 }  # fmt: skip
 
 CORE_FILE_ACCESS = {
-    "code_cache.py": {"mkdir", "read_bytes", "rmtree"},  # compiled code
+    "code_cache.py": {"mkdir", "read_bytes", "rmtree"}  # compiled code
 }
 
 

@@ -107,11 +107,7 @@ def test_the_readme_lists_the_components_of_a_slot(slot):
 
 def test_the_table_lists_the_arrays_of_the_file(localizer):
     localization = localizer.localize(localizer.simulate(1)[0])
-    written = {
-        "schema_version",
-        "result_sha256",
-        *pack_arrays(localization.posterior, localization.touches),
-    }
+    written = {"schema_version", "result_sha256", *pack_arrays(localization.posterior, localization.touches)}
     rows = re.findall(r"^\| (`[^|]*) \| ([^|]*) \|", REPORTS, re.MULTILINE)
     named = {name: meaning for names, meaning in rows for name in re.findall(r"`(\w+)`", names)}
     assert written == {name for name, meaning in named.items() if "optional" not in meaning}
@@ -141,8 +137,7 @@ def test_every_tunable_option_is_listed_with_its_default_and_its_effect():
 
 
 @pytest.mark.parametrize(
-    ("before", "after"),
-    [("| `search.registered` | 150 |", "| `search.registered` | 151 |"), ("| >= 1 |", "| >= 2 |")],
+    ("before", "after"), [("| `search.registered` | 150 |", "| `search.registered` | 151 |"), ("| >= 1 |", "| >= 2 |")]
 )
 def test_a_changed_table_cell_is_restored(before, after):
     page = read_page("tuning.md")

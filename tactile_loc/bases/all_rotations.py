@@ -118,11 +118,7 @@ def find_centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) ->
 
 
 def draw_places(
-    obj: ObjectModel,
-    geometry: SensorGeometry,
-    count: int,
-    rng: np.random.Generator,
-    rotations: Callable[[int], Float],
+    obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator, rotations: Callable[[int], Float]
 ) -> Poses:
     """Draw poses (count, 4, 4), metres, uniformly over rotations and positions over the sensor; z is arbitrary.
 

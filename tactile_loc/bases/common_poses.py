@@ -39,9 +39,7 @@ class CommonPosesFuser(Fuser):
         """Options that decide whether a pose of the first grid touches another sensor."""
 
         reach: float = Field(
-            default=1.5,
-            gt=0,
-            description="poses are equal within this many mean spacings of the coarser grid",
+            default=1.5, gt=0, description="poses are equal within this many mean spacings of the coarser grid"
         )
 
     @abstractmethod

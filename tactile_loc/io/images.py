@@ -25,13 +25,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.runtime.formatting import format_percent
-from tactile_loc.core.runtime.limits import (
-    MOST_BYTES,
-    MOST_FILE_BYTES,
-    TooLargeError,
-    require_pixels,
-    require_size,
-)
+from tactile_loc.core.runtime.limits import MOST_BYTES, MOST_FILE_BYTES, TooLargeError, require_pixels, require_size
 from tactile_loc.store.archives import require_packing
 
 FORMATS = ".npz, .npy or 16-bit grey .png"  # formats of contact shapes

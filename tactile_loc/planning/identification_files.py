@@ -31,16 +31,14 @@ OBJECT: Keys = {
     "name": Key("text", "the object's name"),
     "probability": Key("number", "that the touches are of this object, 0 to 1"),
     "misfit_nats": Key(
-        "number or null",
-        "the evidence that its best pose lacks to explain the touches fully; null: it was not located",
+        "number or null", "the evidence that its best pose lacks to explain the touches fully; null: it was not located"
     ),
     "poses": Key("list", "its possible poses, the most probable first"),
 }
 
 POSE: Keys = {
     "probability": Key(
-        "number or null",
-        "of this pose, given this object, 0 to 1; null: the object is too improbable to compute it",
+        "number or null", "of this pose, given this object, 0 to 1; null: the object is too improbable to compute it"
     ),
     "T_sensor_object": Key("4 x 4 numbers", "m, in the first touch's sensor frame"),
     "imprint_iou": Key("number", "how well it explains the touches, 0 to 1"),

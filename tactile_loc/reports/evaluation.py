@@ -46,10 +46,7 @@ def make_evaluation_page(path: Path) -> Page:
     shown = [section for section in sections if section.values.get("pictures", True)]
     kind = "simulated images" if document["protocol"].get("images") else "simulated touches"
     by_run = table.group("object", "encoder")
-    data = {
-        "runs": [_collect_errors(run, by_run[run["object"], run["encoder"]]) for run in runs],
-        "lines": list(LINES),
-    }
+    data = {"runs": [_collect_errors(run, by_run[run["object"], run["encoder"]]) for run in runs], "lines": list(LINES)}
     about = _describe_protocol(document, "touches", kind)
     return Page("evaluation", _name_objects(runs), about, shown, data, ["errors.js", "evaluation.js"])
 

@@ -14,16 +14,7 @@ from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.formatting import format_millimetres
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.view.drawn_scene import (
-    EDGE,
-    GEL,
-    HOUSING,
-    STEEL,
-    TRUTH,
-    DrawnScene,
-    DrawnSensor,
-    move_triangles,
-)
+from tactile_loc.view.drawn_scene import EDGE, GEL, HOUSING, STEEL, TRUTH, DrawnScene, DrawnSensor, move_triangles
 from tactile_loc.view.pictures import draw_contact_shape, draw_outline, make_figure
 from tactile_loc.view.pose_panel import choose_view, fit_bounds, paint, thicken
 from tactile_loc.view.raytracing import Bounds, Tracer, Viewpoint, average, shade, unmultiply

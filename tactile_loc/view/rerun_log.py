@@ -122,11 +122,7 @@ class RerunLog:
         for path in (f"{OBJECT}/surface", HYPOTHESES):
             self._log(path, self._rr.Mesh3D(**shape, albedo_factor=[*STEEL, HIDDEN]))
         x0, x1, y0, y1 = geometry.rectangle
-        gel = self._rr.Boxes3D(
-            centers=[geometry.gel_middle_m],
-            sizes=[[x1 - x0, y1 - y0, 0.0]],
-            colors=[GEL],
-        )
+        gel = self._rr.Boxes3D(centers=[geometry.gel_middle_m], sizes=[[x1 - x0, y1 - y0, 0.0]], colors=[GEL])
         self._log(f"{SENSOR}/gel", gel, static=True)
 
     def _show(self, path: str, shown: bool, opacity: float) -> None:

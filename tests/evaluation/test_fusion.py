@@ -11,12 +11,7 @@ from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.evaluation import fusion
-from tactile_loc.evaluation.fusion import (
-    FUSION_LINES,
-    MOST_FUSED,
-    evaluate_fusion,
-    make_fusion_key,
-)
+from tactile_loc.evaluation.fusion import FUSION_LINES, MOST_FUSED, evaluate_fusion, make_fusion_key
 from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.table import ExampleTable

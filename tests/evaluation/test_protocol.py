@@ -14,14 +14,7 @@ from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.evaluation import protocol
 from tactile_loc.evaluation.metrics import PoseJudge
 from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
-from tactile_loc.evaluation.protocol import (
-    LINES,
-    METRICS,
-    STAGES,
-    TouchEvaluator,
-    evaluate,
-    make_evaluation_key,
-)
+from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, TouchEvaluator, evaluate, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.locate.localizer import Localizer

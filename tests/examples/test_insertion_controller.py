@@ -10,16 +10,7 @@ import pytest
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'tactile-loc[sim]'")
 
 import controller
-from controller import (
-    MOST_GRASPS,
-    MOST_STD_M,
-    NEAR_M,
-    Action,
-    TipEstimate,
-    decide,
-    list_placements,
-    move,
-)
+from controller import MOST_GRASPS, MOST_STD_M, NEAR_M, Action, TipEstimate, decide, list_placements, move
 from shapes import PARTS, TIP_Z_M
 from trials import CLEARANCES_MM, MOST_OFF_M, MOST_OFF_RAD, list_trials
 

@@ -67,10 +67,7 @@ def test_a_sweep_with_only_failures_has_a_page(tmp_path):
     assert [section.name for section in page.sections] == ["summary", "rows", "failed", "made"]
 
 
-@pytest.mark.parametrize(
-    ("rows", "says"),
-    [([], "combination"), (None, "NoneType"), ([1], "'int'")],
-)
+@pytest.mark.parametrize(("rows", "says"), [([], "combination"), (None, "NoneType"), ([1], "'int'")])
 def test_missing_or_damaged_rows_give_a_one_sentence_error(tmp_path, rows, says):
     write_sweep(tmp_path)
     document = json.loads((tmp_path / "sweep.json").read_text())

@@ -5,15 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from broken_components import (
-    drawing,
-    from_the_base,
-    made,
-    moved,
-    sampling,
-    then,
-    turned_about_the_origin,
-)
+from broken_components import drawing, from_the_base, made, moved, sampling, then, turned_about_the_origin
 
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric

@@ -13,10 +13,7 @@ from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
-from tactile_loc.testing import (
-    ContractError,
-    list_properties,
-)
+from tactile_loc.testing import ContractError, list_properties
 from tactile_loc.testing.properties import hold, motions, one_of, orders, places, shifts, signed, slides, whole
 from tactile_loc.testing.running import run_checks
 

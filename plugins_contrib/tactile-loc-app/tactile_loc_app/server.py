@@ -36,11 +36,7 @@ class AppServer:
     """
 
     def __init__(
-        self,
-        config: RunConfig | None = None,
-        host: str = HOST,
-        port: int = PORT,
-        store: StageStore | None = None,
+        self, config: RunConfig | None = None, host: str = HOST, port: int = PORT, store: StageStore | None = None
     ) -> None:
         require_viser()
         if not 0 <= port <= 65535:

@@ -19,13 +19,7 @@ from tactile_loc.plugin import ConfigError, ObjectModel, Progress
 
 from tactile_loc_benchmark.examples import describe_libraries, make_sensor
 from tactile_loc_benchmark.job import LocatingJob, Row, describe_code
-from tactile_loc_benchmark.prepare import (
-    PreparedMethod,
-    PreparedSource,
-    load_objects,
-    prepare_method,
-    prepare_source,
-)
+from tactile_loc_benchmark.prepare import PreparedMethod, PreparedSource, load_objects, prepare_method, prepare_source
 from tactile_loc_benchmark.results import Results, find_problems
 from tactile_loc_benchmark.suite import Suite, hash_shortly
 

@@ -106,8 +106,7 @@ def test_a_missing_library_is_no_mistake(write):
 
 
 @pytest.mark.parametrize(
-    ("name", "mentioned"),
-    [("quik", ("'quik'", "'quick'")), ("none.toml", ("none.toml",)), ("a/b", ("a/b",))],
+    ("name", "mentioned"), [("quik", ("'quik'", "'quick'")), ("none.toml", ("none.toml",)), ("a/b", ("a/b",))]
 )
 def test_a_missing_suite_is_named(name, mentioned, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

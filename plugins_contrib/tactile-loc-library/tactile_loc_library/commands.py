@@ -41,8 +41,7 @@ DIRECTIONS, LOCATED, UNKNOWN = 800, 12, 0.2
 DEFAULT_OUT = Path("tactile-loc-identify")
 
 Meshes = Annotated[
-    list[Path],
-    typer.Argument(metavar="MESH", help="Mesh files (stl, obj, ply, off, step), or folders of mesh files."),
+    list[Path], typer.Argument(metavar="MESH", help="Mesh files (stl, obj, ply, off, step), or folders of mesh files.")
 ]
 Folder = Annotated[Path, typer.Argument(metavar="LIBRARY", help="Folder of the library.")]
 Names = Annotated[list[str], typer.Argument(metavar="NAME", help="Names of parts.")]
@@ -70,8 +69,7 @@ Given = Annotated[
 Touches = Annotated[str, declare("--touch FILE|LIST", "A touch file, or a list (.toml) of touches of one part.")]
 Located = Annotated[int, declare("--located N", "Most parts to locate: the most probable ones after a rough search.")]
 Unknown = Annotated[
-    float,
-    declare("--unknown SHARE", "Share of touched objects that are no part, before any touch: above 0, below 1."),
+    float, declare("--unknown SHARE", "Share of touched objects that are no part, before any touch: above 0, below 1.")
 ]
 Answer = Annotated[Path, declare("--out FOLDER", "Folder of identification.json.")]
 GivenTouch = Annotated[RunOptions, Takes("touch_unit", "touch_kind", "press_depth", "sensor", "option", "config")]

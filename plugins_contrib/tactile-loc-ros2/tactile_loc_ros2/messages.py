@@ -120,8 +120,7 @@ class MessageMaker:
 
     def _make_pose(self, pose: RosPose) -> Any:
         return self.find_type("geometry_msgs/msg/Pose")(
-            position=self.make_point(pose.position_m),
-            orientation=self._make_vector("Quaternion", pose.quaternion_xyzw),
+            position=self.make_point(pose.position_m), orientation=self._make_vector("Quaternion", pose.quaternion_xyzw)
         )
 
     def _make_vector(self, kind: str, values: Sequence[float]) -> Any:

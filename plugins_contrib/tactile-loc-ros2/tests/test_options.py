@@ -68,10 +68,7 @@ def test_an_empty_text_stands_for_an_empty_list():
     assert NodeOptions.of({**LEAST, "library": ["a.stl"]}).library == ("a.stl",)
 
 
-@pytest.mark.parametrize(
-    ("tf", "allowed"),
-    [("never", []), ("certain", [Verdict.CERTAIN]), ("any", [*Verdict])],
-)
+@pytest.mark.parametrize(("tf", "allowed"), [("never", []), ("certain", [Verdict.CERTAIN]), ("any", [*Verdict])])
 def test_the_verdict_decides_about_tf(tf, allowed):
     options = NodeOptions(**LEAST, tf=tf)
     assert [verdict for verdict in Verdict if options.allows_tf(verdict)] == allowed

@@ -90,13 +90,7 @@ def test_each_option_is_an_argument_of_the_launch_file(launch_file):
 
 
 def test_the_launch_file_passes_only_given_arguments(launch_file):
-    given = {
-        "params_file": "my.yaml",
-        "track": "true",
-        "most_touches": "3",
-        "tf_wait_s": "1",
-        "library": "a.stl, b",
-    }
+    given = {"params_file": "my.yaml", "track": "true", "most_touches": "3", "tf_wait_s": "1", "library": "a.stl, b"}
     (node,) = launch_file["start_node"](given)
     chosen = {"track": True, "most_touches": 3, "tf_wait_s": 1.0, "library": ["a.stl", "b"]}
     assert (node.package, node.executable, node.name) == ("tactile_loc_ros2", "tactile-loc-ros2", "tactile_loc")

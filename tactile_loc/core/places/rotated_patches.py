@@ -105,12 +105,7 @@ def _fill_patches(first, last, shown, frame, yaws, patches, seen):
 
 
 def measure_excess(
-    places: Places,
-    numbers: NDArray[np.int64],
-    yaws: NDArray[np.int64],
-    low_m: Float32,
-    high_m: Float32,
-    most_m: float,
+    places: Places, numbers: NDArray[np.int64], yaws: NDArray[np.int64], low_m: Float32, high_m: Float32, most_m: float
 ) -> Float32:
     """Return how far places leave the bounds of a touch, squared and summed over the patch (K,), square metres.
 

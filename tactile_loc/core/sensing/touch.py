@@ -395,12 +395,7 @@ def _make_from_distance(
 
 
 def _make_from_surface(
-    values: NDArray[Any],
-    max_depth_m: float,
-    press_depth_m: float | None,
-    name: str,
-    meaning: Meaning,
-    gel: Gel,
+    values: NDArray[Any], max_depth_m: float, press_depth_m: float | None, name: str, meaning: Meaning, gel: Gel
 ) -> ContactShape:
     kind = meaning.kind
     indentation = find_indentation(values.astype(np.float64), kind, gel)

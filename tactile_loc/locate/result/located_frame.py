@@ -133,10 +133,6 @@ def count_frames(verdicts: Iterable[Verdict | None]) -> dict[str, int]:
         "ambiguous": counts[Verdict.AMBIGUOUS],
         "poor_fit": counts[Verdict.POOR_FIT],
     }
-    others = {
-        "not_found": counts[Verdict.NOT_FOUND],
-        "no_contact": counts[Verdict.NO_CONTACT],
-        "refused": counts[None],
-    }
+    others = {"not_found": counts[Verdict.NOT_FOUND], "no_contact": counts[Verdict.NO_CONTACT], "refused": counts[None]}
     frames = counts.total()
     return {"frames": frames, "located": frames - sum(others.values()), **found, **others}

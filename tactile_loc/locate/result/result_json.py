@@ -109,8 +109,7 @@ TOUCH: Keys = {
     "depths_known": Key("true or false", "false for a contact mask, which has no depths", True),
     "T_sensor_object": Key("4 x 4 numbers or null", "the true pose, m; null if unknown"),
     "best_imprint_iou": Key(
-        "number or null",
-        "with several touches: the best imprint IoU of any pose tried with this touch, 0 to 1",
+        "number or null", "with several touches: the best imprint IoU of any pose tried with this touch, 0 to 1"
     ),
     "outlier": Key("true or false", "whether the touch contradicts the other touches, which agree"),
 }

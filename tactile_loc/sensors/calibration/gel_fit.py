@@ -105,12 +105,7 @@ def fit_gel(
     final, shares = _compare(profiles, Gel(best_m, coating_m=coating_m))
     rigid, _ = _compare(profiles, Gel())
     return GelFit(
-        best_m,
-        std_m,
-        coating_m,
-        float(np.median(shares)),
-        float(np.sqrt(final.mean())),
-        float(np.sqrt(rigid.mean())),
+        best_m, std_m, coating_m, float(np.median(shares)), float(np.sqrt(final.mean())), float(np.sqrt(rigid.mean()))
     )
 
 
@@ -121,10 +116,7 @@ def measure_profile(press: BallImage, untouched: Image) -> Floats:
     change = gaussian_filter(compare_colours(press.image, untouched), (SMOOTHING_PX, SMOOTHING_PX, 0))
     angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
     away = press.circle.radius_px * REACH[:, None]
-    places = [
-        press.circle.y_px + away * np.sin(angle) - 0.5,
-        press.circle.x_px + away * np.cos(angle) - 0.5,
-    ]
+    places = [press.circle.y_px + away * np.sin(angle) - 0.5, press.circle.x_px + away * np.cos(angle) - 0.5]
     seen = np.stack([map_coordinates(change[..., c], places, order=1, cval=np.nan) for c in range(3)])
     odd = 0.5 * (seen - np.roll(seen, ANGLES // 2, axis=2))
     known = np.isfinite(odd).all(axis=0)

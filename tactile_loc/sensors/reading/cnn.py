@@ -22,12 +22,7 @@ from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.labels import Float32, Image
-from tactile_loc.sensors.reading.estimator import (
-    PLANES,
-    CalibrationProblem,
-    GelEstimator,
-    stack_features,
-)
+from tactile_loc.sensors.reading.estimator import PLANES, CalibrationProblem, GelEstimator, stack_features
 
 Dilation = Annotated[int, Field(ge=1, le=256)]
 

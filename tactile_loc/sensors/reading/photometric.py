@@ -19,13 +19,7 @@ from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.labels import Float32, Image
-from tactile_loc.sensors.reading.estimator import (
-    DIFFERENCE,
-    FIXED,
-    CalibrationProblem,
-    GelEstimator,
-    scale_difference,
-)
+from tactile_loc.sensors.reading.estimator import DIFFERENCE, FIXED, CalibrationProblem, GelEstimator, scale_difference
 from tactile_loc.sensors.reading.surface import find_indentation
 
 SMOOTHINGS_PX = (1.0, 3.0)  # Gaussian widths that smooth the colour difference: against noise, and for the surroundings

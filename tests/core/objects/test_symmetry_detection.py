@@ -13,12 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.objects.symmetry_detection import (
-    RESOLUTION_M,
-    _find_worst,
-    detect_symmetry,
-    require_symmetry,
-)
+from tactile_loc.core.objects.symmetry_detection import RESOLUTION_M, _find_worst, detect_symmetry, require_symmetry
 from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
 from tactile_loc.core.runtime.errors import ObjectError, SymmetryError
 

@@ -8,13 +8,7 @@ import trimesh
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.geometry.rigid import make_translation
-from tactile_loc.core.sensing.clouds import (
-    OUTLINE_PX,
-    OUTLINE_REACH_PX,
-    SIDES,
-    make_contact_cloud,
-    make_outline_cloud,
-)
+from tactile_loc.core.sensing.clouds import OUTLINE_PX, OUTLINE_REACH_PX, SIDES, make_contact_cloud, make_outline_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, compute_contact_depth
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer

@@ -272,10 +272,7 @@ def test_drift_does_not_change_the_visible_contact():
 @pytest.mark.parametrize("px", [80, 240])
 @pytest.mark.parametrize(
     ("part", "clean", "mean_square"),  # of radii U(0.3, 1) and U(0.2, 0.7) of the patch size
-    [
-        (TouchNoise(missing=0.5, patch_m=1e-3), deep, 0.4633),
-        (TouchNoise(spurious=0.5, patch_m=2e-3), empty, 0.2233),
-    ],
+    [(TouchNoise(missing=0.5, patch_m=1e-3), deep, 0.4633), (TouchNoise(spurious=0.5, patch_m=2e-3), empty, 0.2233)],
     ids=["missing", "spurious"],
 )
 def test_patches_have_the_given_number_and_size(px, part, clean, mean_square):

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import (
-    invert,
-    make_transform,
-    make_translation,
-    rotation_about,
-)
+from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.scene import Scene, View

@@ -27,12 +27,7 @@ PINHOLE = {
     "standoff_mm": "25",
     "max_depth_mm": "2",
 }
-ORTHOGRAPHIC = {
-    "camera": '"orthographic"',
-    "image_size_px": "[320, 240]",
-    "mm_per_px": "0.0634",
-    "max_depth_mm": "1.0",
-}
+ORTHOGRAPHIC = {"camera": '"orthographic"', "image_size_px": "[320, 240]", "mm_per_px": "0.0634", "max_depth_mm": "1.0"}
 
 
 def write(folder: Path, values: dict[str, str], **changes: str | None) -> Path:

@@ -8,16 +8,7 @@ from message_helpers import naming
 
 torch = pytest.importorskip("torch")
 
-from press_sets import (  # noqa: E402
-    BALL_M,
-    TINY,
-    ball_indentation,
-    ball_set,
-    contact_radius,
-    label_untouched,
-    photographed,
-    places,
-)
+from press_sets import BALL_M, TINY, ball_indentation, ball_set, contact_radius, label_untouched, photographed, places  # noqa: E402
 
 from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, TrainingError, WeightsError  # noqa: E402
 from tactile_loc.sensors.calibration.calibrate import measure_press  # noqa: E402

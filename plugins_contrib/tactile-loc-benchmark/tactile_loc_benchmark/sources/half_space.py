@@ -14,13 +14,7 @@ import tamaas
 from tactile_loc.plugin import ContactShape, Poses, Scene, SensorGeometry, TouchError
 
 from tactile_loc_benchmark.interfaces import SimulatedSource
-from tactile_loc_benchmark.sources.elastic import (
-    ElasticOptions,
-    Floats,
-    find_reach_m,
-    make_shape,
-    measure_sides_m,
-)
+from tactile_loc_benchmark.sources.elastic import ElasticOptions, Floats, find_reach_m, make_shape, measure_sides_m
 
 THICK_MM = 1e3  # a layer of this thickness acts as a half-space
 TOLERANCE = 1e-4  # of the solver

@@ -165,12 +165,7 @@ class SmallBackbone(Backbone):
 
 
 def make_backbone(
-    name: str,
-    *,
-    generator: torch.Generator,
-    in_channels: int = 1,
-    channels: int | None = 16,
-    norm: Norm = "group",
+    name: str, *, generator: torch.Generator, in_channels: int = 1, channels: int | None = 16, norm: Norm = "group"
 ) -> Backbone:
     """Return the backbone `name` ("small", "resnet18", "resnet50") on the CPU, with weights drawn by `generator`.
 
