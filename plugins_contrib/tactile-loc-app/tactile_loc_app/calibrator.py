@@ -23,6 +23,7 @@ from tactile_loc import (
     save_held_out,
     save_labels,
 )
+from tactile_loc.commands import list_files
 
 from tactile_loc_app.errors import AppError
 from tactile_loc_app.page.task_progress import ShowProgress, TaskProgress
@@ -81,10 +82,7 @@ class Calibrator:
     @property
     def names(self) -> list[str]:
         """The names of the photos and videos of presses, and of the table if there is one."""
-        return [path.name for path in self._list_files() if path.name != self.reference]
-
-    def _list_files(self) -> list[Path]:
-        return sorted(path for path in self._photos.iterdir() if path.suffix.lower() in SUFFIXES)
+        return [path.name for path in list_files(self._photos, SUFFIXES) if path.name != self.reference]
 
     def set_reference(self, name: str, content: bytes) -> None:
         """Take the photo of the untouched gel, instead of an earlier one. Raises TactileLocError if it is none."""
@@ -138,7 +136,7 @@ class Calibrator:
     def clear(self) -> None:
         """Remove all photos. A sensor that was made from them stays."""
         self.reference = None
-        for path in self._list_files():
+        for path in list_files(self._photos, SUFFIXES):
             path.unlink()
 
     def stop(self) -> None:

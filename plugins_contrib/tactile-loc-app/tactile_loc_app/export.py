@@ -18,6 +18,7 @@ from tactile_loc import (
     write_report,
     write_touch,
 )
+from tactile_loc.commands import write_atomically
 
 from tactile_loc_app.errors import AppError
 
@@ -65,8 +66,7 @@ def write_export(
     names = [f"touch-{number}.npz" for number in range(1, len(found.touches) + 1)]
     written += [write_touch(folder / name, touch) for name, touch in zip(names, found.touches, strict=True)]
     script = _write_script(folder, localizer, found, names, prior)
-    (folder / SCRIPT).write_text(script, "utf-8")
-    return [*written, folder / SCRIPT]
+    return [*written, write_atomically(folder / SCRIPT, lambda temporary: temporary.write_text(script, "utf-8"))]
 
 
 def _name_copies(config: RunConfig) -> RunConfig:

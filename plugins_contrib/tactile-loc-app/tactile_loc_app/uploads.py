@@ -6,10 +6,11 @@ import io
 import re
 import stat
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any
+
+from tactile_loc.commands import read_member, write_atomically
 
 from tactile_loc_app.errors import AppError
 
@@ -25,7 +26,7 @@ DRIVE = re.compile("[A-Za-z]:")
 HIDDEN = "__MACOSX"  # a folder that macOS adds to archives
 MOST_RUNNING, LEAST_PART = 16, 2**16  # uploads of a visitor at once; bytes of the parts of an upload, on average
 MOST_ENTRIES, ENTRY = 10 * MOST_FILES, b"PK\x01\x02"  # all of an archive, with folders and hidden files; how one begins
-DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, NotImplementedError, ValueError)
+DAMAGED = (zipfile.BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError, ValueError)
 
 
 def limit_uploads(client: ClientHandle, show_error: Callable[[AppError], None]) -> None:
@@ -89,12 +90,7 @@ def _find_plain_name(name: str) -> str:
 
 
 def _write(path: Path, content: bytes) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    except OSError as error:
-        raise AppError(f"{path.name} cannot be kept ({error.strerror or error}); upload it again") from error
-    return path
+    return write_atomically(path, lambda temporary: temporary.write_bytes(content))
 
 
 def require_size(name: str, size: int) -> None:
@@ -123,7 +119,7 @@ def read_files(name: str, content: bytes) -> Iterator[tuple[PurePosixPath, bytes
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             for member, path in _check_members(name, archive.infolist()):
-                yield path, _read_member(archive, member)
+                yield path, read_member(archive, member)
     except DAMAGED as error:
         raise AppError(
             f"{name} cannot be read as a zip archive ({error}); pack it again, without a password"
@@ -153,17 +149,6 @@ def _check_members(name: str, members: list[zipfile.ZipInfo]) -> list[tuple[zipf
     return shown
 
 
-def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """Return the content of an archive's file. Raises ValueError if it is damaged or could unpack without a limit."""
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError(f"{member.filename!r} in it is neither stored nor deflated")
-    with archive.open(member) as stream:
-        content = stream.read(member.file_size + 1)
-    if len(content) != member.file_size:
-        raise ValueError(f"{member.filename!r} in it has another size than it states")
-    return content
-
-
 def _is_hidden(path: PurePosixPath) -> bool:
     return HIDDEN in path.parts or (path.name.startswith(".") and path.name != "..")
 
@@ -171,6 +156,6 @@ def _is_hidden(path: PurePosixPath) -> bool:
 def unpack_upload(folder: Path, name: str, content: bytes) -> list[Path]:
     """Write the files of an upload into a folder, with their folders, and return their paths.
 
-    Raises AppError as `read_files`, and AppError if a file cannot be written.
+    Raises AppError as `read_files`, and OutputError if a file cannot be written.
     """
     return [_write(folder / path, data) for path, data in read_files(name, content)]

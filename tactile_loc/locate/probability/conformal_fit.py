@@ -11,6 +11,7 @@ import numpy as np
 
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.posterior import NoPoseLeft
+from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.progress import NOTE
 from tactile_loc.core.sensing.scene import view_touch
 from tactile_loc.core.sensing.touch import Touch
@@ -84,8 +85,6 @@ class ConformalFit:
 
     def _fit(self, work: Workspace) -> None:
         """Locate the examples, and save their scores."""
-        from tactile_loc.core.runtime.compiled import map_in_threads  # numba takes a while to import
-
         total = sum(sum(counts) for counts in EXAMPLES.values())
         said = "the sets of poses for %s and this sensor are fitted once, to %d simulated examples"
         log.log(NOTE, said, self.setup.scene.object.name, total)

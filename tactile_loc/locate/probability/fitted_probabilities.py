@@ -12,6 +12,7 @@ import numpy as np
 
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
+from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.scene import View
@@ -76,8 +77,6 @@ class FittedProbabilities:
 
     def _fit_temperature(self, work: Workspace) -> None:
         """Score simulated touches, and save the scaling that makes their true poses most probable."""
-        from tactile_loc.core.runtime.compiled import map_in_threads  # numba takes a while to import
-
         scores: list[Scores] = []
         truth: list[int] = []
         number, levels = self.plan.touches, self.plan.noise

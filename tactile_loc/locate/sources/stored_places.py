@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.places.places import CAMERA, Places
+from tactile_loc.core.places.places import CAMERA, Places, split_patches
+from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.core.sensing.scene import Scene
@@ -54,8 +55,6 @@ def make_places_key(sampler: GridSampler, scene: Scene) -> StageKey:
 
 
 def _save(places: Places, work: Workspace) -> None:
-    from tactile_loc.core.places.places import split_patches  # numba takes a while to import
-
     runs, changes = split_patches(places.patches)
     work.save_array("T_place_object", places.T_place_object, packed=True)
     work.save_array("runs", runs, packed=True)
@@ -122,8 +121,6 @@ class PlaceBanks:
         return self._encode(press_depth_m, flat=True)
 
     def _encode(self, press_depth_m: float, flat: bool = False) -> Scores:
-        from tactile_loc.core.runtime.compiled import map_in_threads  # numba takes a while to import
-
         encode = partial(self._encode_some, press_depth_m, flat)
         one_by_one = self.encoder.capabilities.needs_training  # a network has threads of its own
         encoded: list[Scores] = []

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.bases.common_poses import compute_prior_weights
 from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.objects.surface_field import build_surface_field
 from tactile_loc.core.places.places import Places
 from tactile_loc.core.poses.merging import suppress_non_maxima
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
@@ -315,8 +316,6 @@ def estimate_surface_distances(views: Sequence[View], poses: Poses, cell_m: floa
 
     `cell_m`, metres, is the size of the cells of the surface's field: see `build_surface_field`.
     """
-    from tactile_loc.core.objects.surface_field import build_surface_field  # numba takes a while to import
-
     field, seen_from = build_surface_field(views[0].scene.object.mesh, cell_m), invert(poses)
     distances_m = np.zeros(len(poses))
     for view in views:
