@@ -91,27 +91,6 @@ def test_run_reports_its_result_file(document):
     assert all(Path(path).is_file() for path in found["written"])
 
 
-def test_run_of_a_folder_reports_every_touch(cli, document):
-    cli("simulate", *PIN, "--count", 2, "--out", "touches")
-    np.savez("touches/zero.npz", depth=np.full((200, 200), 0.002, np.float32), unit="m")
-    found = document("run", *PIN, "--touch", "touches", "--out", "out")
-    assert (found["located"], found["written"]) == (2, [str(Path("out/results.csv"))])
-    first, _, zero = found["touches"]
-    assert "contact" in zero["error"]
-    (best, *_) = json.loads(Path(first["result"]).read_text())["hypotheses"]
-    assert (first["T_sensor_object"], first["probability"]) == (best["T_sensor_object"], best["probability"])
-
-
-def test_evaluate_reports_its_file_without_single_touches(document):
-    found = document("evaluate", "--paper", *PIN, "--count", 2, "--refiner", "none", "--out", "out")
-    (written, *_) = [path for path in found["written"] if path.endswith("results.json")]
-    stored = json.loads(Path(written).read_text())
-    assert found["summary"] == stored["summary"]
-    assert found["summary"][0]["median_m"] < 0.1
-    assert "examples" in stored
-    assert "examples" not in found
-
-
 def test_calibrate_reports_angles_in_radians(document):
     Path("sensor.toml").write_text(
         'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'

@@ -164,15 +164,6 @@ def test_live_shows_new_frames_until_ctrl_c(going, touches, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_process_leaves_whole_lines(going, touches, tmp_path):
-    live = going(touches, "--no-view", "--once", "--out", "found.jsonl")
-    wait_for_lines(tmp_path / "found.jsonl", 1)
-    live.kill()
-    live.wait()
-    assert 1 <= len(records(tmp_path / "found.jsonl")) <= 5
-
-
-@pytest.mark.slow
 def test_a_rerun_file_is_written_beside_the_lines(cli, touches):
     pytest.importorskip("rerun", reason="rerun is not installed")
     words = ["live", touches, *LOCATED, "--once", "--no-view"]

@@ -24,6 +24,8 @@ def test_a_run_writes_the_files_for_a_report_at_a_usable_path(cli):
     assert_refused(cli("report", "out", "--out", "file/page.html"), "file/page.html")
     assert_refused(cli("report", "out", "--out", "page.pdf"), ".html", "page.pdf")
     assert not Path("page.pdf").exists()
+    Path("empty").mkdir()
+    assert_refused(cli("report", "empty"), "empty", "contacts.json")
 
 
 @pytest.mark.slow
@@ -40,25 +42,3 @@ def test_the_report_contains_all_touches(cli):
     page = Path("out/report.html").read_text()
     assert not missing(page, "2 touches")
     assert all(re.search(rf"observed[^<]*\b{name}\b", page) for name in ("touch-0000", "touch-0001"))
-
-
-@pytest.mark.slow
-def test_evaluations_have_reports(cli):
-    succeed(cli("evaluate", "--paper", *PIN, "--count", 3, "--out", "evaluation"))
-    assert cli("report", "evaluation").exit_code == 0
-    assert not missing(Path("evaluation/report.html").read_text(), "3 simulated touches")
-    succeed(cli("evaluate", "--paper", *PIN, "--count", 3, "--together", "1,2", "--out", "contacts"))
-    assert cli("report", "contacts").exit_code == 0
-    assert "2 contacts" in Path("contacts/report.html").read_text()
-
-
-@pytest.mark.parametrize(
-    ("files", "says"),
-    [([], "contacts.json"), (["result.json"], "JSON"), (["result.json", "results.json"], "results.json")],
-)
-def test_a_folder_without_a_result_is_one_sentence(cli, files, says):
-    Path("out").mkdir()
-    for name in files:
-        Path("out", name).write_text("")
-    assert_refused(cli("report", "out"), "out", says)
-    assert not Path("out/report.html").exists()

@@ -9,9 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, start_process, succeed
+from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, start_process
 
 # `tactile-loc build` with small shards; it prints a line and waits at the point that its first argument names
 BUILD = """
@@ -97,21 +96,6 @@ def test_two_concurrent_builds_share_the_work(tmp_path, uninterrupted):
     for stage in ("grid", "shapes"):  # there are several banks, and each process may build some
         found = [re.findall(rf"^{stage} \(.*\): (built|reused)$", stdout, re.MULTILINE) for stdout, _ in outputs]
         assert sorted(found) == [["built"], ["reused"]]
-
-
-@pytest.mark.slow
-def test_a_truncated_artifact_is_rebuilt(cli, tmp_path):
-    store = tmp_path / "store"
-    assert cli("run", *TINY, "--store", store, "--out", "first").exit_code == 0
-    for bank in store.glob("bank/*/bank.npz"):
-        bank.chmod(0o644)
-        bank.write_bytes(bank.read_bytes()[:100])
-    again = succeed(cli("run", *TINY, "--store", store, "--out", "second"))
-    assert again.stderr.startswith("warning: ")
-    first, second = (json.loads(Path(out, "result.json").read_text())["hypotheses"] for out in ("first", "second"))
-    assert [h["probability"] for h in first] == [h["probability"] for h in second]
-    poses = [np.array([h["T_sensor_object"] for h in hypotheses]) for hypotheses in (first, second)]
-    assert poses[0] == pytest.approx(poses[1], abs=1e-8)  # threads sum in varying order
 
 
 def test_a_full_disk_is_reported_without_damaged_files(cli, tmp_path):

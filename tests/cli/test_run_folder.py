@@ -54,12 +54,16 @@ def test_each_touch_has_a_line_and_its_results(cli, folder):
 
 def test_a_touch_in_a_folder_is_located_as_alone(cli, folder):
     (folder / "touch-0001.png").write_bytes(b"")
-    done = succeed(cli("run", *PIN, "--touch", folder, "--out", "all"))
+    done = succeed(cli("run", *PIN, "--touch", folder, "--out", "all", "--json"))
+    said = json.loads(done.stdout)
+    assert (said["located"], said["written"]) == (2, ["all/results.csv"])
+    assert "contact" in said["touches"][2]["error"]
     assert "--touch 'touches/touch-*.png'" in done.stderr, "photos beside contact shapes are reported"
     assert cli("run", *PIN, "--touch", folder / "touch-0001.npz", "--out", "one").exit_code == 0
     both = [json.loads(Path(p).read_text()) for p in ("all/touch-0001/result.json", "one/result.json")]
     poses = [np.array(r["hypotheses"][0]["T_sensor_object"]) for r in both]
     np.testing.assert_allclose(*poses, atol=1e-5)
+    assert said["touches"][1]["T_sensor_object"] == poses[0].tolist()
     assert both[0]["touch"]["T_sensor_object"] == both[1]["touch"]["T_sensor_object"]
     assert not Path("all/touch-0001/result.png").exists()
     assert_refused(cli("run", *PIN, "--touch", folder, "--prior", "prior.toml"), "--prior", "folder")

@@ -59,13 +59,6 @@ def test_a_reset_clock_forgets_the_later_transforms(send):
         frames.look_up("base", "gel", 100 * NS)
 
 
-def test_messages_out_of_order_are_sorted(send):
-    frames = LiveFrames()
-    for stamp_ns, x_m in ((0, 0), (NS, 2), (NS // 2, 1)):
-        send(frames, stamp_ns, base__gel=shift(x_m))
-    np.testing.assert_allclose(frames.look_up("base", "gel", NS // 4), shift(0.5))
-
-
 def test_a_frame_may_get_another_parent(send):
     frames = LiveFrames()
     send(frames, 0, table__part=shift(1))

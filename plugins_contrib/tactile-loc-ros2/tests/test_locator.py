@@ -26,42 +26,16 @@ def locator(localizer) -> ImageLocator:
     return ImageLocator(localizer, estimator=estimated)
 
 
-def pad(rows: np.ndarray, padding: int) -> dict:
-    """Return the fields of an image whose rows of bytes end with `padding` unused bytes."""
-    padded = np.pad(rows.reshape(len(rows), -1), ((0, 0), (0, padding)), constant_values=255)
-    return {"step": padded.shape[1], "data": padded.ravel()}
-
-
-@pytest.mark.parametrize("padding", [0, 3])
-@pytest.mark.parametrize(("encoding", "order"), [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0])])
-def test_colours_are_read_from_serialised_messages(make_image, encoding, order, padding):
-    image = make_image(np.zeros((5, 4), np.float32), encoding=encoding, **pad(COLOURS[..., order], padding))
+def test_serialised_images_are_read_and_photos_need_a_calibrated_sensor(locator, make_image, types):
+    padded = np.pad(COLOURS.reshape(5, -1), ((0, 0), (0, 3)), constant_values=255)  # rows end with unused bytes
+    image = make_image(np.zeros((5, 4), np.float32), encoding="rgb8", step=padded.shape[1], data=padded.ravel())
     np.testing.assert_array_equal(decode_image(image), COLOURS)
-
-
-@pytest.mark.parametrize("padding", [0, 7])
-def test_grey_images_are_read(make_image, padding):
-    grey = COLOURS[..., 0]
-    image = make_image(np.zeros((5, 4), np.float32), encoding="mono8", **pad(grey, padding))
-    np.testing.assert_array_equal(decode_image(image), grey)
-
-
-@pytest.mark.parametrize("padding", [0, 4])
-@pytest.mark.parametrize(("big", "dtype"), [(0, "<f4"), (1, ">f4")])
-def test_depths_are_read_in_both_byte_orders(make_image, big, dtype, padding):
-    depth = np.linspace(0, 1e-3, 20, dtype=np.float32).reshape(5, 4)
-    data = np.ascontiguousarray(depth, dtype).view(np.uint8)
-    read = decode_image(make_image(depth, is_bigendian=big, **pad(data, padding)))
-    assert read.dtype == np.float32
-    np.testing.assert_array_equal(read, depth)
-
-
-def test_a_compressed_image_is_read_from_a_serialised_message(types):
     file = BytesIO()
     Image.fromarray(COLOURS).save(file, "png")
     data = np.frombuffer(file.getvalue(), np.uint8)
     message = types.pass_on(types.find("sensor_msgs/msg/CompressedImage")(format="png", data=data))
     np.testing.assert_array_equal(decode_image(message), COLOURS)
+    assert "not calibrated for images" in locator.locate(message).located.says
 
 
 def test_the_localizer_locates_a_simulated_touch(localizer, make_image):
@@ -98,27 +72,6 @@ def test_an_unreadable_image_gives_an_error(locator, make_image, depth_m, change
     assert located.T_sensor_object is None
     assert located.verdict is None
     assert mentioned in located.says
-
-
-def test_negative_depths_are_refused(locator, make_image, depth_m):
-    assert "negative" in locator.locate(make_image(-depth_m)).located.says
-
-
-def test_a_compressed_photo_needs_a_calibrated_sensor(locator, types):
-    file = BytesIO()
-    Image.fromarray(np.zeros((200, 200, 3), np.uint8)).save(file, "png")
-    message = types.find("sensor_msgs/msg/CompressedImage")(format="png", data=np.frombuffer(file.getvalue(), np.uint8))
-    assert "not calibrated for images" in locator.locate(message).located.says
-
-
-@pytest.mark.parametrize(
-    ("verdict", "published"), [(Verdict.CERTAIN, True), (Verdict.AMBIGUOUS, False), (Verdict.POOR_FIT, False)]
-)
-def test_only_poses_with_the_required_verdict_are_published(localizer, verdict, published):
-    located = LocatedFrame(verdict, T[None], np.ones(1), C, 0.9)
-    assert ImageLocator(localizer, required=Verdict.CERTAIN).is_published(located) is published
-    assert ImageLocator(localizer).is_published(located)
-    assert not ImageLocator(localizer).is_published(LocatedFrame(Verdict.NO_CONTACT))
 
 
 @pytest.fixture

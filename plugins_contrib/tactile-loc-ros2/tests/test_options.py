@@ -68,12 +68,6 @@ def test_an_empty_text_stands_for_an_empty_list():
     assert NodeOptions.of({**LEAST, "library": ["a.stl"]}).library == ("a.stl",)
 
 
-@pytest.mark.parametrize(("tf", "allowed"), [("never", []), ("certain", [Verdict.CERTAIN]), ("any", [*Verdict])])
-def test_the_verdict_decides_about_tf(tf, allowed):
-    options = NodeOptions(**LEAST, tf=tf)
-    assert [verdict for verdict in Verdict if options.allows_tf(verdict)] == allowed
-
-
 def test_ros_gets_its_own_arguments():
     words = ["--object", "pin", "--ros-args", "-r", "__ns:=/left", "--", "--track", "--ros-args", "-p", "tf:=any"]
     ours, of_ros = split_arguments(words)

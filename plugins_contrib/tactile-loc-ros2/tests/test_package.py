@@ -14,7 +14,6 @@ import pytest
 from tactile_loc import TactileLocError
 
 import tactile_loc_ros2
-from tactile_loc_ros2 import messages
 from tactile_loc_ros2.options import OPTIONS, NodeOptions, read_text
 
 SITE = Path(tactile_loc_ros2.__file__).parents[1]
@@ -114,9 +113,3 @@ def test_texts_of_another_type_are_refused(name, text):
     (one,) = [one for one in OPTIONS if one.name == name]
     with pytest.raises(TactileLocError, match=name):
         read_text(one, text)
-
-
-def test_types_are_named_as_in_ros():
-    names = [value for value in vars(messages).values() if isinstance(value, str) and "/msg/" in value]
-    assert len(names) >= 9
-    assert all(re.fullmatch(r"\w+/msg/[A-Z]\w+", name) for name in names)
