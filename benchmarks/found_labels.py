@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 from real_images import SETS, read, write_head
 
 from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.sensors.calibration.calibrate import measure_press, split
 from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.labels import STEEPEST, Chosen
+from tactile_loc.sensors.calibration.outcome import measure_press, split
 from tactile_loc.sensors.calibration.presses import PressFolder
 from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
-from tactile_loc.sensors.reading.estimator import CalibrationProblem
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 from tactile_loc.slots.encoder import Checkpoints
 
@@ -68,10 +67,9 @@ def measure_errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], s
     errors = {}
     for name, labels in sets.items():
         made = PhotometricEstimator(hand.geometry, hand.background)
-        chosen = Chosen(labels, learned)
-        made.fit(CalibrationProblem(hand.geometry, hand.background, chosen, Progress(), Checkpoints()))
+        made.fit(Chosen(labels, learned), Progress(), Checkpoints())
         for tested in ("hand", "found"):
-            each = [measure_press(made, *sets[tested].read_press(n)).slope_deg for n in held_out]
+            each = [measure_press(made, *sets[tested].read_press(n))["slope_deg"] for n in held_out]
             errors[f"{name} on {tested}"] = float(np.mean(each))
     return errors
 

@@ -30,11 +30,11 @@ from numpy.typing import NDArray
 from real_images import PRESSES_MM, SETS, SpherePress, write_head
 
 from tactile_loc.io.images import load_image, write_image
-from tactile_loc.sensors.calibration.calibrate import Calibrated, average_errors, calibrate
 from tactile_loc.sensors.calibration.frames import PressImage
+from tactile_loc.sensors.calibration.outcome import CalibrationOutcome, calibrate
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
 from tactile_loc.sensors.calibration.unlabelled import find_presses
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import reduce_image
 
@@ -113,13 +113,10 @@ def read_small(folder: Path, presses: PressFolder, name: str, filled: bool = Tru
     return dataclasses.replace(small, images=images, background=small.gel.image)
 
 
-def measure_errors(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, float]]:
+def measure_errors(presses: PressFolder, splits: int) -> tuple[CalibrationOutcome, dict[str, float]]:
     """Calibrate on several splits. Return the first calibration and the mean errors of the held-out presses."""
-    done = [
-        calibrate(CalibrationProblem(presses.geometry, presses.background, presses), EstimatorRecipe(seed=seed))
-        for seed in range(splits)
-    ]
-    means = [average_errors(calibrated.errors) for calibrated in done]
+    done = [calibrate(presses, EstimatorRecipe(seed=seed)) for seed in range(splits)]
+    means = [calibrated.mean_errors for calibrated in done]
     return done[0], {key: float(np.mean([mean[key] for mean in means])) for key in means[0]}
 
 
@@ -144,7 +141,7 @@ class Shapes:
         self.images = {name: load_image(folder / f"{name}_real.png", "RGB")[1] for name in SHAPES}
         self.poses = json.loads((folder / "poses.json").read_text())
 
-    def read(self, calibrated: Calibrated, gel: UntouchedGel | None, pattern: Pattern | None, seed: int,
+    def read(self, calibrated: CalibrationOutcome, gel: UntouchedGel | None, pattern: Pattern | None, seed: int,
              surfaces: dict[str, NDArray[np.float32]] | None) -> dict[str, NDArray[np.float32]]:  # fmt: skip
         """Return the indentations (h, w), metres. The `surfaces` read without dots move the dots of the `pattern`."""
         found = {}

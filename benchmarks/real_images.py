@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.sensors.calibration.calibrate import Calibrated, calibrate
 from tactile_loc.sensors.calibration.circles import Circle, compare_colours, find_imprint, find_rim
-from tactile_loc.sensors.calibration.folder import write_calibration
-from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, convert_presses, read_presses
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
+from tactile_loc.sensors.calibration.outcome import CalibrationOutcome, calibrate
+from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
+from tactile_loc.sensors.calibration.public_sets import convert_presses
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.reading import Health, measure_health, measure_press_m
 from tactile_loc.store.store import StageStore
 
@@ -68,7 +68,7 @@ def reduce(presses: PressFolder, name: str, folder: Path) -> PressFolder:
     return read_presses(folder, presses.camera, median_background=name == "FOTS", size_px=size_px)
 
 
-def list_health_rows(calibrations: dict[str, Calibrated], sets: dict[str, PressFolder]) -> list[str]:
+def list_health_rows(calibrations: dict[str, CalibrationOutcome], sets: dict[str, PressFolder]) -> list[str]:
     """Return table rows of the least and largest health of each set's images with each calibration.
 
     For the calibration's own set, only held-out presses count. For the other sets, all presses count. Each cell has the
@@ -86,14 +86,14 @@ def list_health_rows(calibrations: dict[str, Calibrated], sets: dict[str, PressF
     return rows
 
 
-def _figure(calibrated: Calibrated, presses: PressFolder, number: int, untouched: NDArray[np.uint8]) -> float:
+def _figure(calibrated: CalibrationOutcome, presses: PressFolder, number: int, untouched: NDArray[np.uint8]) -> float:
     """Return the health of an image, resized to the calibration's size, as a multiple of the worst training press."""
     estimator = calibrated.estimator
     image, zero = (_resize(i, estimator.geometry.shape) for i in (presses.images[number], untouched))
     estimator.untouched, kept = zero, estimator.untouched
     found: Health = measure_health(image, zero, estimator.read(image)[1], estimator.geometry)
     estimator.untouched = kept
-    return found.compare(calibrated.usual)
+    return found.compare(Health.of_record(calibrated.record["health"]))
 
 
 def _resize(image: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint8]:
@@ -102,13 +102,10 @@ def _resize(image: NDArray[np.uint8], shape: tuple[int, int]) -> NDArray[np.uint
     return np.asarray(Image.fromarray(image).resize(shape[::-1], Image.Resampling.BOX))
 
 
-def measure_slopes(presses: PressFolder, splits: int) -> tuple[Calibrated, dict[str, float]]:
+def measure_slopes(presses: PressFolder, splits: int) -> tuple[CalibrationOutcome, dict[str, float]]:
     """Calibrate on several splits. Return the first calibration and the mean errors."""
-    done = [
-        calibrate(CalibrationProblem(presses.geometry, presses.background, presses), EstimatorRecipe(seed=seed))
-        for seed in range(splits)
-    ]
-    means = [calibrated.record()["held_out"]["mean"] for calibrated in done]
+    done = [calibrate(presses, EstimatorRecipe(seed=seed)) for seed in range(splits)]
+    means = [calibrated.mean_errors for calibrated in done]
     image = presses.images[0]
     seconds = [_time(lambda: done[0].estimator.read_indentation(image)) for _ in range(9)]
     mean = {key: float(np.mean([m[key] for m in means])) for key in means[0]}
@@ -132,7 +129,7 @@ class SpherePress:
     rms_mm: float
 
     @classmethod
-    def of(cls, calibrated: Calibrated, image: NDArray[np.uint8]) -> SpherePress:
+    def of(cls, calibrated: CalibrationOutcome, image: NDArray[np.uint8]) -> SpherePress:
         """Measure a press in its image (H, W, 3)."""
         estimator = calibrated.estimator
         change = compare_colours(image, estimator.background)
@@ -156,7 +153,7 @@ class SpherePress:
         return f"| {stated} | {self.radius_mm:.2f} | {by_circle} | {self.top_mm:.3f} | {self.rms_mm:.3f} |"
 
 
-def measure_growth(calibrated: Calibrated, shapes: Path) -> list[float]:
+def measure_growth(calibrated: CalibrationOutcome, shapes: Path) -> list[float]:
     """Return the strength of the colours around the prism's tip at each press, as multiples of the strength at 0.5 mm.
 
     A flat face touches the same area at any press. Therefore the heights around the tip are proportional to the press
@@ -178,7 +175,7 @@ def measure_growth(calibrated: Calibrated, shapes: Path) -> list[float]:
     return [float((change * usual).sum() / (usual**2).sum()) for change in changes]
 
 
-def measure_depths(calibrated: Calibrated, shapes: Path, spheres: dict[str, SpherePress]) -> list[str]:
+def measure_depths(calibrated: CalibrationOutcome, shapes: Path, spheres: dict[str, SpherePress]) -> list[str]:
     """Return rows of the table of depths of the prism's tip, compared with the given depths and the sphere's depths."""
     poses = json.loads((shapes / "poses.json").read_text())
     rows = []
@@ -301,9 +298,7 @@ def main() -> None:
             )
             if name == "gelslim":
                 sensor = first
-                write_calibration(
-                    work / "sensor", presses.geometry, presses.background, first.estimator, first.record()
-                )
+                first.write(work / "sensor")
         print()
         print(write_head("health by the calibration of", *small))
         print("\n".join(list_health_rows(calibrations, small)))

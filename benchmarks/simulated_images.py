@@ -32,8 +32,7 @@ from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import RunConfig, parse_overrides
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.sensors.calibration.folder import write_calibration
-from tactile_loc.sensors.calibration.simulated import calibrate_simulated, find_sensor
+from tactile_loc.sensors.calibration.simulated import SimulatedSensor, calibrate_simulated
 from tactile_loc.sensors.optics.gel import find_indentation, press_gel
 from tactile_loc.sensors.optics.lamps import Optics
 from tactile_loc.sensors.optics.simulate import render_touches
@@ -129,19 +128,19 @@ def main() -> None:
     arguments = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)
     logging.getLogger("tactile_loc.sensors").setLevel(logging.INFO)
-    geometry, lamps = find_sensor(arguments.sensor)
+    sensor = SimulatedSensor.find(arguments.sensor)
     options = parse_overrides([f"sensor.{word}" for word in arguments.option]).get("sensor", {})
     start = time.perf_counter()
-    presses, estimator, record = calibrate_simulated(
-        geometry, lamps, arguments.presses, EstimatorRecipe(arguments.estimator, options), StageStore(arguments.store)
-    )
-    held_out = ", ".join(f"{k} {v:.3g}" for k, v in record["held_out"]["mean"].items())
-    print(f"{arguments.estimator}, {len(presses)} presses, {time.perf_counter() - start:.0f} s; held out: {held_out}\n")
+    recipe = EstimatorRecipe(arguments.estimator, options)
+    done = calibrate_simulated(sensor, arguments.presses, recipe, StageStore(arguments.store))
+    held_out = ", ".join(f"{k} {v:.3g}" for k, v in done.mean_errors.items())
+    seconds = time.perf_counter() - start
+    print(f"{arguments.estimator}, {len(done.presses)} presses, {seconds:.0f} s; held out: {held_out}\n")
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     measured = []
     for name in read_split("demo"):
         touches = Localizer.create(name, sensor=arguments.sensor).simulate(arguments.touches, seed=arguments.seed)
-        measured.append(measure(estimator, record["noise_m"], touches, lamps))
+        measured.append(measure(done.estimator, done.record["noise_m"], touches, sensor.optics))
         print(write_row(name, measured[-1]), flush=True)
     print(write_row("all", np.concatenate(measured)))
     if not arguments.locate:
@@ -149,10 +148,10 @@ def main() -> None:
     names = ["object", "poses", "encoder", *(f"{line} from {what}" for line in LINES for what in WHAT), "closest"]
     print(f"\n| {' | '.join(names)} |\n|{'---|' * len(names)}")
     with tempfile.TemporaryDirectory() as temporary:
-        sensor = write_calibration(Path(temporary) / "sensor", geometry, presses.background, estimator, record)
+        folder = done.write(Path(temporary) / "sensor")
         for encoder in arguments.encoder or ["pixel"]:
             for name in read_split("demo"):
-                print(locate(name, sensor, encoder, arguments), flush=True)
+                print(locate(name, folder, encoder, arguments), flush=True)
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ from tactile_loc.io.images import write_image
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
 from tactile_loc.sensors.calibration.labelling import label_presses
-from tactile_loc.sensors.calibration.presses import TABLE
+from tactile_loc.sensors.calibration.press_table import TABLE
 from tactile_loc.sensors.reading.reading import (
     extrapolate_press_m,
     find_contact_shape,

@@ -99,12 +99,12 @@ if TYPE_CHECKING:
     from tactile_loc.reports.report import write_page as write_page
     from tactile_loc.reports.report import write_report as write_report
     from tactile_loc.reports.sweep_figures import write_sweep as write_sweep
-    from tactile_loc.sensors.calibration.labelling import BallLabels as BallLabels
+    from tactile_loc.sensors.calibration.labelling import LabelledFolder as LabelledFolder
     from tactile_loc.sensors.calibration.labelling import label_presses as label_presses
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome as CalibrationOutcome
     from tactile_loc.sensors.calibration.outcome import calibrate_folder as calibrate_folder
-    from tactile_loc.sensors.calibration.presses import convert_presses as convert_presses
-    from tactile_loc.sensors.calibration.presses import list_named_files as list_named_files
+    from tactile_loc.sensors.calibration.press_table import list_named_files as list_named_files
+    from tactile_loc.sensors.calibration.public_sets import convert_presses as convert_presses
     from tactile_loc.sensors.reading.estimator import EstimatorRecipe as EstimatorRecipe
     from tactile_loc.simulate.touch_simulation import press_touch as press_touch
     from tactile_loc.store.keys import StageKey as StageKey

@@ -18,7 +18,7 @@ from tactile_loc.sensors.calibration.labels import LabelledPresses, PressLabel, 
 from tactile_loc.sensors.optics.gel import press_gel
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 
 MM = 1e-3
 BALL_M = 3e-3
@@ -157,22 +157,16 @@ def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
 
 def write_calibrated(folder: Path, learned_from: BallSet | None = None, **options: object) -> Path:
     """Write a calibrated sensor and return its folder; without presses, its estimator is untrained. Needs torch."""
-    from tactile_loc.sensors.calibration.calibrate import calibrate
     from tactile_loc.sensors.calibration.folder import write_calibration
-    from tactile_loc.sensors.reading.estimator import validate_estimator_options
-    from tactile_loc.sensors.reading.photometric import PhotometricEstimator
+    from tactile_loc.sensors.calibration.outcome import calibrate
+    from tactile_loc.sensors.reading.estimator import make_estimator
 
     chosen = {**TINY, **options}
     if learned_from is None:
         geometry = sensor()
         gel = render_background(geometry, OPTICS["gelslim"])
-        estimator = PhotometricEstimator(geometry, gel, validate_estimator_options(PhotometricEstimator, chosen))
-        return write_calibration(folder, geometry, gel, estimator, {"noise_m": 5e-6})
-    made = calibrate(
-        CalibrationProblem(learned_from.geometry, learned_from.background, learned_from),
-        EstimatorRecipe("photometric", chosen),
-    )
-    return write_calibration(folder, learned_from.geometry, learned_from.background, made.estimator, made.record())
+        return write_calibration(folder, make_estimator("photometric", chosen, geometry, gel), gel, {"noise_m": 5e-6})
+    return calibrate(learned_from, EstimatorRecipe("photometric", chosen)).write(folder)
 
 
 def write_image(path: Path, image: np.ndarray) -> Path:

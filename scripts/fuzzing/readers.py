@@ -32,7 +32,8 @@ from tactile_loc.planning.next_touch import choose_next_touch
 from tactile_loc.planning.next_touch_files import write_next_touch
 from tactile_loc.reports import find_source, write_report
 from tactile_loc.sensors.calibration.frames import read_frames
-from tactile_loc.sensors.calibration.presses import convert_presses, read_presses
+from tactile_loc.sensors.calibration.presses import read_presses
+from tactile_loc.sensors.calibration.public_sets import convert_presses
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 from tactile_loc.tracking.pose_modes import PoseModes

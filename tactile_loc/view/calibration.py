@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tactile_loc.sensors.calibration.circles import compare_colours
 from tactile_loc.sensors.calibration.folder import PICTURE
 from tactile_loc.sensors.calibration.frames import SHEET
-from tactile_loc.sensors.calibration.labelling import BallLabels
 from tactile_loc.sensors.calibration.labels import LabelledPresses
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
 from tactile_loc.sensors.calibration.unlabelled import FoundPress, FoundPresses
@@ -39,9 +38,9 @@ def save_held_out(folder: Path, outcome: CalibrationOutcome) -> Path:
     return save_figure(folder / PICTURE, figure)
 
 
-def save_labels(folder: Path, labels: BallLabels) -> Path:
+def save_labels(folder: Path, found: FoundPresses) -> Path:
     """Draw the circles found in the images of a folder into it, and return the picture's path. Raises OutputError."""
-    return save_figure(folder / SHEET, draw_labels(labels.found, labels.title))
+    return save_figure(folder / SHEET, draw_labels(found, found.title))
 
 
 def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Sequence[int], title: str) -> Figure:

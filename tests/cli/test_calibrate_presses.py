@@ -19,8 +19,8 @@ from press_sets import MM, ball_set, is_same_camera, magnified, sensor, write_im
 
 from tactile_loc.io.sensor_files import write_sensor_file  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
-from tactile_loc.sensors.calibration.calibrate import split  # noqa: E402
 from tactile_loc.sensors.calibration.folder import read_calibration  # noqa: E402
+from tactile_loc.sensors.calibration.outcome import split  # noqa: E402
 from tactile_loc.sensors.optics.lamps import OPTICS  # noqa: E402
 from tactile_loc.sensors.optics.shading import render_background  # noqa: E402
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator  # noqa: E402

@@ -18,7 +18,7 @@ from tactile_loc.evaluation.protocol import evaluate, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.folder import read_calibration, write_calibration
-from tactile_loc.sensors.calibration.simulated import calibrate_simulated
+from tactile_loc.sensors.calibration.simulated import SimulatedSensor, calibrate_simulated
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 
@@ -30,12 +30,9 @@ SENSOR = SensorGeometry("orthographic", 96, 96, 3500.0, 3500.0, 48.0, 48.0, 0.01
 def folder(store, tmp_path_factory) -> Path:
     """A sensor calibrated on simulated boards."""
     options = {"steps": 400, "hidden": 16}
-    presses, estimator, record = calibrate_simulated(
-        SENSOR, OPTICS["digit"], 40, EstimatorRecipe(options=options), store
-    )
-    return write_calibration(
-        tmp_path_factory.mktemp("sensor") / "calibrated", SENSOR, presses.background, estimator, record
-    )
+    sensor = SimulatedSensor(SENSOR, OPTICS["digit"])
+    made = calibrate_simulated(sensor, 40, EstimatorRecipe(options=options), store)
+    return made.write(tmp_path_factory.mktemp("sensor") / "calibrated")
 
 
 def located(folder: Path, store) -> Localizer:
@@ -111,7 +108,7 @@ def write_altered(folder: Path, to: Path) -> Path:
     with torch.no_grad():
         calibration.estimator._network.linear.bias += 0.01
     kept = {k: v for k, v in calibration.record.items() if k not in ("schema_version", "estimator", "options")}
-    return write_calibration(to, calibration.geometry, calibration.background, calibration.estimator, kept)
+    return write_calibration(to, calibration.estimator, calibration.background, kept)
 
 
 def test_sensors_that_cannot_read_their_own_images_and_noise_of_contact_shapes_are_refused(folder, store, tmp_path):

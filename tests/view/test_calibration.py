@@ -38,11 +38,9 @@ def test_the_circle_is_drawn_on_the_photo_and_on_its_change(found):
 def test_the_reading_has_the_known_and_the_estimated_indentation():
     pytest.importorskip("torch")
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
-    from tactile_loc.sensors.reading.estimator import validate_estimator_options
-    from tactile_loc.sensors.reading.photometric import PhotometricEstimator
+    from tactile_loc.sensors.reading.estimator import make_estimator
 
-    options = validate_estimator_options(PhotometricEstimator, {"hidden": 4})
-    untrained = PhotometricEstimator(BALLS.geometry, BALLS.background, options)
-    figure = draw_reading(CalibrationOutcome(BALLS, untrained, BALLS.background, {}), 3)
+    untrained = make_estimator("photometric", {"hidden": 4}, BALLS.geometry, BALLS.background)
+    figure = draw_reading(CalibrationOutcome(BALLS, untrained, {}), 3)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[:4] == [BALLS.name(3), "known", "estimated", "along x, at the deepest point"]

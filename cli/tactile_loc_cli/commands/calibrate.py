@@ -146,13 +146,11 @@ def _require_one_source(simulated: bool, folder: Path | None, of_folder: bool, o
 
 
 def _convert(source: Path, folder: Path, format: Format, ball_radius: float | None, mm_per_px: float | None) -> Path:
-    from tactile_loc.sensors.calibration.presses import convert_presses, write_sensor
+    from tactile_loc.sensors.calibration.public_sets import convert_presses
 
     if not (ball_radius and ball_radius > 0 and mm_per_px and mm_per_px > 0):
         raise ConfigError(f"--format {format} needs --ball-radius and --mm-per-px, positive numbers in mm")
-    convert_presses(source, folder, format, ball_radius, mm_per_px)
-    write_sensor(folder, mm_per_px)
-    return folder
+    return convert_presses(source, folder, format, ball_radius, mm_per_px).parent
 
 
 def _parse_options(words: list[str]) -> dict[str, Any]:
@@ -166,18 +164,18 @@ def _parse_options(words: list[str]) -> dict[str, Any]:
 
 def _report_labels(labelled: LabelledFolder, ball_radius: float | None) -> dict[str, Any]:
     """Print where the labels come from, draw new ones, and return those for the command's result."""
-    from tactile_loc.sensors.calibration.presses import TABLE
+    from tactile_loc.sensors.calibration.press_table import TABLE
     from tactile_loc.view.calibration import save_labels
 
     table = labelled.folder / TABLE
-    if labelled.labels is None:
+    if labelled.found is None:
         if ball_radius is not None:
             new = labelled.unlisted
             more = f"; {new} images are not in this table: remove it to detect the balls again" if new else ""
             say(f"using the labels in {table}{more}")
         return {}
-    found, sheet = labelled.labels.found, save_labels(labelled.folder, labelled.labels)
-    for line in labelled.labels.describe():
+    found, sheet = labelled.found, save_labels(labelled.folder, labelled.found)
+    for line in labelled.describe():
         say(line)
     say(f"written: {table} (look at {sheet}; if a circle is wrong, edit its row and run the command again)")
     dropped = {press.name: press.dropped for press in found.presses if press.dropped}
@@ -187,16 +185,11 @@ def _report_labels(labelled: LabelledFolder, ball_radius: float | None) -> dict[
 def _calibrate_simulated(
     sensor: str | None, optics: str | None, count: int | None, recipe: EstimatorRecipe, out: Path, store: Path | None
 ) -> dict[str, Any]:
-    from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
-    from tactile_loc.sensors.calibration.simulated import calibrate_simulated, find_camera_px, find_sensor
+    from tactile_loc.sensors.calibration.simulated import SimulatedSensor, calibrate_simulated
     from tactile_loc.store.store import StageStore
 
-    sensor = sensor or DEFAULT_SENSOR
-    geometry, lamps = find_sensor(sensor, optics)
-    presses, made, record = calibrate_simulated(geometry, lamps, count, recipe, StageStore(store), make_progress())
-    if (native := find_camera_px(sensor)) is not None:
-        record["camera_px"] = native
-    return _finish(CalibrationOutcome(presses, made, presses.background, record), out)
+    made = SimulatedSensor.find(sensor or DEFAULT_SENSOR, optics)
+    return _finish(calibrate_simulated(made, count, recipe, StageStore(store), make_progress()), out)
 
 
 def _finish(outcome: CalibrationOutcome, out: Path) -> dict[str, Any]:

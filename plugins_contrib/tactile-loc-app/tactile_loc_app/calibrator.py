@@ -11,9 +11,9 @@ from typing import Any
 from tactile_loc import (
     IMAGE_SUFFIXES,
     VIDEO_SUFFIXES,
-    BallLabels,
     CalibrationOutcome,
     EstimatorRecipe,
+    LabelledFolder,
     StageStore,
     TactileLocError,
     calibrate_folder,
@@ -36,21 +36,16 @@ SUFFIXES = (*IMAGE_SUFFIXES, *VIDEO_SUFFIXES, PurePath(TABLE).suffix)
 
 @dataclass(frozen=True, eq=False)
 class MadeSensor:
-    """A calibrated sensor in its `folder`, and the folder of `presses` from which it was made.
-
-    `labels` are the circles that were found, or None if the visitor's table was used.
-    """
+    """A calibrated sensor in its `folder`, and the `labelled` folder of presses from which it was made."""
 
     folder: Path
-    presses: Path
+    labelled: LabelledFolder
     outcome: CalibrationOutcome
-    labels: BallLabels | None
 
     def describe(self) -> list[str]:
         """Return the key facts as sentences: the photos, the gel, and the errors on held-out photos."""
-        found = [] if self.labels is None else self.labels.describe()
         errors = [f"  {line}" for line in self.outcome.list_errors()]
-        return [*found, *self.outcome.facts, f"{self.outcome.title}; mean errors on these:", *errors]
+        return [*self.labelled.describe(), *self.outcome.facts, f"{self.outcome.title}; mean errors on these:", *errors]
 
     def pack(self) -> bytes:
         """Return a zip archive of the calibration folder, and of the labels from which it was made."""
@@ -60,8 +55,8 @@ class MadeSensor:
             labels = root / f"{self.folder.name}-labels"
             labels.mkdir()
             for name in (TABLE, SENSOR, SHEET):
-                if (self.presses / name).is_file():
-                    shutil.copyfile(self.presses / name, labels / name)
+                if (self.labelled.folder / name).is_file():
+                    shutil.copyfile(self.labelled.folder / name, labels / name)
             return Path(shutil.make_archive(str(root), "zip", root)).read_bytes()
 
 
@@ -159,19 +154,20 @@ class Calibrator:
         presses = work / PHOTOS
         shutil.copytree(self._photos, presses)
         labelled = label_presses(presses, None, 0.5 * ball_diameter_mm, mm_per_px, progress)
-        self._require_untouched(labelled.labels)
+        self._require_untouched(labelled)
         recipe = EstimatorRecipe(options=self.options)
         outcome = calibrate_folder(labelled.folder, labelled.sensor, recipe, store=self.store, progress=progress)
-        made = MadeSensor(outcome.write(work / name), labelled.folder, outcome, labelled.labels)
+        made = MadeSensor(outcome.write(work / name), labelled, outcome)
         save_held_out(made.folder, outcome)
-        if labelled.labels is not None:
-            save_labels(labelled.folder, labelled.labels)
+        if labelled.found is not None:
+            save_labels(labelled.folder, labelled.found)
         self.made = made
         return made
 
-    def _require_untouched(self, labels: BallLabels | None) -> None:
+    def _require_untouched(self, labelled: LabelledFolder) -> None:
         """Raise AppError if the photo of the untouched gel shows a press."""
-        if labels is None or self.reference is None or self.reference in labels.found.untouched_names:
+        found = labelled.found
+        if found is None or self.reference is None or self.reference in found.untouched_names:
             return
         raise AppError(
             f"{self.reference} differs from the untouched gel in the other photos; take it without contact, with the "

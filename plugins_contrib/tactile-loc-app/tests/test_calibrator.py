@@ -138,8 +138,8 @@ def test_photos_become_a_sensor_that_locates_photos(tmp_path, store):
     made = calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX, lambda task, _: tasks.add(task))
     assert "learning slope from colour" in tasks
     assert calibrator.made is made
-    assert made.labels is not None
-    assert len(made.labels.found.used) == 7
+    assert made.labelled.found is not None
+    assert len(made.labelled.found.used) == 7
     assert any("indentation in the contact" in line for line in made.describe())
     with zipfile.ZipFile(io.BytesIO(made.pack())) as archive:
         names = set(archive.namelist())
@@ -159,7 +159,7 @@ def test_photos_become_a_sensor_that_locates_photos(tmp_path, store):
 
     again = calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
     assert again.folder != made.folder
-    calibrator.add_photos("presses.csv", (made.presses / "presses.csv").read_bytes())
-    assert calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX).labels is None
+    calibrator.add_photos("presses.csv", (made.labelled.folder / "presses.csv").read_bytes())
+    assert calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX).labelled.found is None
     session.close()
     assert list(Path(tmp_path / "visitors").iterdir()) == []

@@ -20,14 +20,13 @@ from tactile_loc.io.images import read_photo, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
 from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.optics.lamps import Optics
-from tactile_loc.sensors.reading.estimator import GelEstimator, load_estimator, validate_estimator_options
+from tactile_loc.sensors.reading.estimator import GelEstimator, make_estimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import (
     Health,
     measure_health,
     measure_press_m,
     read_gel,
-    read_zero,
     require_healthy,
     require_image,
 )
@@ -41,11 +40,6 @@ ZERO_ADVICE = "take it with the same sensor and light, or calibrate again"
 OURS = {SENSOR, "sensor_mask.png", "sensor_surface.npy", BACKGROUND, CALIBRATION, WEIGHTS, PICTURE}
 
 
-class _HealthRecord(BaseModel):
-    light: Annotated[float, Field(allow_inf_nan=False)] | None = None
-    unfit: Annotated[float, Field(allow_inf_nan=False)] | None = None
-
-
 class _Record(BaseModel):
     """The parts of a calibration's record that are needed to read an image."""
 
@@ -54,7 +48,7 @@ class _Record(BaseModel):
     estimator: str
     options: dict[str, Any]
     noise_m: float
-    health: _HealthRecord | None = None
+    health: dict[str, float | None] | None = None
     camera_px: Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_length=2)] = [1, 1]
 
 
@@ -106,11 +100,10 @@ class Calibration:
 
         Raises WeightsError when the weights cannot be read, and MissingLibraryError when torch is not installed.
         """
-        with name_source(self.folder / CALIBRATION):
-            kind = load_estimator(self.record["estimator"])
-            options = validate_estimator_options(kind, self.record["options"])
         known = self.gel if self.untouched is self.background else UntouchedGel.of(self.background)
-        estimator = kind(self.geometry, known.clear, options)
+        with name_source(self.folder / CALIBRATION):
+            name, options = self.record["estimator"], self.record["options"]
+            estimator = make_estimator(name, options, self.geometry, known.clear)
         estimator.load(self.folder / WEIGHTS)
         estimator.untouched = self.gel.clear
         return estimator
@@ -161,40 +154,32 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
                 f"{folder} is not a calibration folder: it has no {name}; give the folder that "
                 "tactile-loc calibrate wrote"
             )
+    again = "calibrate the sensor again with tactile-loc calibrate"
     try:
         record = read_json(folder / CALIBRATION)
     except (OSError, ValueError) as error:
-        raise CalibrationError(
-            f"{folder / CALIBRATION} cannot be read ({error}); calibrate the sensor again"
-        ) from error
-    try:
-        geometry = read_sensor_file(folder / SENSOR)
-        background = read_photo(folder / BACKGROUND)
-    except (OSError, ValueError, SensorError, TouchError) as error:
-        raise CalibrationError(
-            f"{folder} cannot be read as a calibrated sensor ({error}); calibrate the sensor again"
-        ) from error
+        raise CalibrationError(f"{folder / CALIBRATION} cannot be read ({error}); {again}") from error
     if not isinstance(record, dict) or record.get("schema_version") != SCHEMA_VERSION:
-        raise CalibrationError(
-            f"{folder / CALIBRATION} is from another version of tactile-loc; calibrate the sensor again with "
-            "tactile-loc calibrate"
-        )
+        raise CalibrationError(f"{folder / CALIBRATION} is from another version of tactile-loc; {again}")
     try:
         _Record(**record)
     except ValidationError as error:
         wrong = error.errors()[0]["loc"][0]
         raise CalibrationError(
-            f"{folder / CALIBRATION} is damaged: {wrong} is missing or has a wrong type; calibrate the sensor again"
+            f"{folder / CALIBRATION} is damaged: {wrong} is missing or has a wrong type; {again}"
         ) from error
+    try:
+        geometry = read_sensor_file(folder / SENSOR)
+        background = read_photo(folder / BACKGROUND)
+    except (OSError, ValueError, SensorError, TouchError) as error:
+        raise CalibrationError(f"{folder} cannot be read as a calibrated sensor ({error}); {again}") from error
     if background.shape[:2] != geometry.shape:
-        raise CalibrationError(
-            f"{folder}: {BACKGROUND} and {SENSOR} have different image sizes; calibrate the sensor again"
-        )
+        raise CalibrationError(f"{folder}: {BACKGROUND} and {SENSOR} have different image sizes; {again}")
     found = Calibration(geometry, background, background, record, folder)
     if zero is None:
         return found
     with name_source(f"{zero} (`zero`)"):
-        newer = require_image(read_zero(zero), background, found.camera_px, ZERO_ADVICE)
+        newer = require_image(read_photo(zero), background, found.camera_px, ZERO_ADVICE)
     return replace(found, untouched=newer)
 
 
@@ -209,20 +194,18 @@ def require_replaceable(folder: Path) -> None:
         raise OutputError(f"{folder} contains files that do not belong to a calibration; choose another `out`")
 
 
-def write_calibration(
-    folder: Path, geometry: SensorGeometry, background: Image, estimator: GelEstimator, record: dict[str, Any]
-) -> Path:
+def write_calibration(folder: Path, estimator: GelEstimator, untouched: Image, record: dict[str, Any]) -> Path:
     """Write a calibrated sensor to a folder atomically, and return the folder.
 
-    A calibrated sensor that is already in the folder is replaced. Raises OutputError when the folder holds other files
-    or cannot be written.
+    `untouched` (H, W, 3) is the image of the untouched gel, with marker dots. A calibrated sensor that is already in
+    the folder is replaced. Raises OutputError when the folder holds other files or cannot be written.
     """
     require_replaceable(folder)
     options = estimator.options.model_dump(mode="json")
     whole = {"schema_version": SCHEMA_VERSION, "estimator": estimator.name, "options": options, **record}
     with guard_output(folder), replace_folder(folder) as temporary:
-        write_sensor_file(temporary / SENSOR, geometry)
-        write_image(temporary / BACKGROUND, background)
+        write_sensor_file(temporary / SENSOR, estimator.geometry)
+        write_image(temporary / BACKGROUND, untouched)
         estimator.save(temporary / WEIGHTS)
         (temporary / CALIBRATION).write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
     return folder

@@ -71,6 +71,16 @@ class GelFit:
         """The gel."""
         return Gel(self.thickness_m, coating_m=self.coating_m)
 
+    def explain(self) -> str:
+        """Return the elasticity and the errors of the fit in words."""
+        shares = f"{100 * self.rms:.0f} % of the colour profiles unexplained, a rigid gel {100 * self.rigid_rms:.0f} %"
+        if not self.is_elastic:
+            return f"the gel is taken for rigid: an elastic gel leaves {shares}"
+        return (
+            f"the gel is elastic: effective thickness {1e3 * self.thickness_m:.1f} mm (standard deviation "
+            f"{1e3 * self.std_m:.1f} mm), coating {1e3 * self.coating_m:.2f} mm; it leaves {shares}"
+        )
+
     def record(self) -> dict[str, Any]:
         """Return the fit as JSON values."""
         return asdict(self)

@@ -7,30 +7,41 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, SensorError
 from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.io.images import write_image
 from tactile_loc.io.sensor_files import read_sensor_file
-from tactile_loc.sensors.calibration.frames import PressImage, list_pictures, name_frames_folder, read_frames
-from tactile_loc.sensors.calibration.presses import SENSOR, TABLE, summarize_table, write_scale
-from tactile_loc.sensors.calibration.unlabelled import FoundPresses, estimate_depths_mm, find_presses, write_labels
+from tactile_loc.sensors.calibration.frames import list_pictures, name_frames_folder, read_frames
+from tactile_loc.sensors.calibration.labels import STEEPEST
+from tactile_loc.sensors.calibration.press_table import SENSOR, TABLE, read_rows, write_scale, write_table
+from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
+from tactile_loc.store.files import write_atomically
 
 SAME_SCALE = 1e-6
+SHALLOWEST_MM = 0.05  # least depth of the deepest press; a smaller depth shows that the ball's radius is wrong
+UNTOUCHED = "untouched-gel.png"  # the composed image of the untouched gel
 
 
 @dataclass(frozen=True, eq=False)
-class BallLabels:
-    """The balls that were found in the images, and the least and the largest press depth, mm, by their circles."""
+class LabelledFolder:
+    """A `folder` with the table of presses, and the path `sensor` of the sensor's file, which may be missing.
 
-    found: FoundPresses
-    depths_mm: tuple[float, float]
+    If the table was just written, `found` are the balls in the images, and `depths_mm` are the least and the largest
+    press depth, mm, by their circles. Otherwise, `unlisted` is the number of images that are not in the table.
+    """
 
-    @property
-    def title(self) -> str:
-        """The number of used images in words."""
-        return f"{len(self.found.used)} of {len(self.found.presses)} presses are used"
+    folder: Path
+    sensor: Path
+    found: FoundPresses | None = None
+    depths_mm: tuple[float, float] = (0.0, 0.0)
+    unlisted: int = 0
 
     def describe(self) -> list[str]:
         """Return sentences about the images, the images that are not used, and the press depths."""
+        if self.found is None:
+            return []
         found, (least_mm, most_mm) = self.found, self.depths_mm
         untouched = len(found.untouched_names)
         composed = "none of the untouched gel, so its image was composed from others"
@@ -38,20 +49,6 @@ class BallLabels:
         dropped = [f"  not used: {press.name}: {press.dropped}" for press in found.presses if press.dropped]
         depths = f"press depths, estimated from the circles: {least_mm:.2f} to {most_mm:.2f} mm"
         return [f"images: {len(found.used)} with a ball, {gel}", *dropped, f"{depths}; check that they are plausible"]
-
-
-@dataclass(frozen=True, eq=False)
-class LabelledFolder:
-    """A `folder` with the table of presses, and the path `sensor` of the sensor's file, which may be missing.
-
-    `labels` are those that were just written to the table, or None if the table existed. `unlisted` is the number of
-    images that are not in an existing table.
-    """
-
-    folder: Path
-    sensor: Path
-    labels: BallLabels | None = None
-    unlisted: int = 0
 
 
 def label_presses(
@@ -67,13 +64,20 @@ def label_presses(
     the table is written. `sensor` is the sensor's file, by default that in the folder. If there is none, it is written
     for the scale `mm_per_px`. Raises CalibrationError, ConfigError or SensorError for unusable input.
     """
-    _require_lengths(ball_radius_mm, mm_per_px)
+    for setting, value in (("ball_radius", ball_radius_mm), ("mm_per_px", mm_per_px)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise ConfigError(f"`{setting}` cannot be {value:g}; give a positive number (mm)")
     folder = name_frames_folder(source) if os.path.isfile(source) else source
+    file = folder / SENSOR if sensor is None else Path(sensor)
     if os.path.exists(folder / TABLE) or not os.path.exists(source):
+        if mm_per_px is not None and file.exists():
+            _read_scale(file, mm_per_px)
+        elif mm_per_px is not None and sensor is None and folder.is_dir():
+            write_scale(folder, read_frames(folder)[1][0].image.shape[:2], mm_per_px)
         unlisted = 0
         if ball_radius_mm is not None and os.path.exists(source):
             unlisted = _count_unlisted(folder, ball_radius_mm)
-        return LabelledFolder(folder, find_sensor_file(folder, sensor, mm_per_px, None), None, unlisted)
+        return LabelledFolder(folder, file, unlisted=unlisted)
     if ball_radius_mm is None:
         raise CalibrationError(
             f"there is no table {folder / TABLE}; give `ball_radius` to write it from the images, or write it "
@@ -81,41 +85,36 @@ def label_presses(
         )
     if not os.access(source if source.is_dir() else source.parent, os.W_OK):
         raise CalibrationError(f"labels cannot be written beside {source}; copy it to a folder that you may write to")
-    scale = _find_scale(folder, sensor, mm_per_px)
-    folder, frames = read_frames(source)
-    labels = _find_labels(folder, frames, scale, ball_radius_mm, progress)
-    return LabelledFolder(folder, find_sensor_file(folder, sensor, mm_per_px, frames[0].image.shape[:2]), labels)
-
-
-def _count_unlisted(folder: Path, ball_radius_mm: float) -> int:
-    """Return how many images are not in the table. Raises ConfigError if a ball in the table has another radius."""
-    names, radii_mm = summarize_table(folder)
-    other = next((mm for mm in radii_mm if not math.isclose(mm, ball_radius_mm, rel_tol=SAME_SCALE)), None)
-    if other is not None:
-        raise ConfigError(
-            f"{folder / TABLE} has a ball of radius {other:g} mm, but the given one has {ball_radius_mm:g} mm; correct "
-            "the table or `ball_radius`, or remove the table to detect the balls again"
-        )
-    return len(list_pictures(folder) - names)
-
-
-def _find_scale(folder: Path, sensor: str | None, mm_per_px: float | None) -> float:
-    """Return the pixel size in mm, from the sensor's file if it exists, and otherwise `mm_per_px`.
-
-    Raises CalibrationError if neither is given, SensorError if the named file does not exist, and ConfigError if both
-    differ.
-    """
-    file = folder / SENSOR if sensor is None else Path(sensor)
-    if sensor is None and not file.exists():
-        if mm_per_px is not None:
-            return mm_per_px
+    if file.is_file():
+        scale = _read_scale(file, mm_per_px)
+    elif sensor is not None or file.exists():
+        raise SensorError(f"there is no sensor file {file}; write it (docs/files.md), or give `mm_per_px`")
+    elif mm_per_px is None:
         raise CalibrationError(
             f"the size of a pixel is unknown; give `mm_per_px` or the sensor file {file}. To measure it, divide the "
             "length of an object on the gel in mm by its length in the image in pixels"
         )
-    if not file.is_file():
-        raise SensorError(f"there is no sensor file {file}; write it (docs/files.md), or give `mm_per_px`")
-    return _read_scale(file, mm_per_px)
+    else:
+        scale = mm_per_px
+    folder, frames = read_frames(source)
+    found = find_presses(frames, ball_radius_mm / scale, progress)
+    depths_mm = _estimate_depths_mm(found, ball_radius_mm, scale)
+    write_labels(folder, found, ball_radius_mm, scale)
+    if not file.exists():
+        write_scale(folder, frames[0].image.shape[:2], scale)
+    return LabelledFolder(folder, file, found, depths_mm)
+
+
+def _count_unlisted(folder: Path, ball_radius_mm: float) -> int:
+    """Return how many images are not in the table. Raises ConfigError if a ball in the table has another radius."""
+    rows = read_rows(folder / TABLE)
+    for radius_mm in (row.read_number("ball_radius_mm") for row in rows if row.kind == "ball"):
+        if not math.isclose(radius_mm, ball_radius_mm, rel_tol=SAME_SCALE):
+            raise ConfigError(
+                f"{folder / TABLE} has a ball of radius {radius_mm:g} mm, but the given one has {ball_radius_mm:g} mm; "
+                "correct the table or `ball_radius`, or remove the table to detect the balls again"
+            )
+    return len(list_pictures(folder) - {row.values["image"] for row in rows})
 
 
 def _read_scale(file: Path, mm_per_px: float | None) -> float:
@@ -129,33 +128,39 @@ def _read_scale(file: Path, mm_per_px: float | None) -> float:
     return scale
 
 
-def find_sensor_file(folder: Path, sensor: str | None, mm_per_px: float | None, shape: tuple[int, int] | None) -> Path:
-    """Return the path of the sensor's file: the given file, or the file in the folder.
+def _estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
+    """Estimate the least and the largest press depth, mm, from the balls' visible circles.
 
-    If the folder has no such file, the file is written from `mm_per_px`. `shape` is the images' size (rows, columns),
-    by default that of the first image. Raises ConfigError if file and `mm_per_px` differ.
+    Raises CalibrationError when even the largest depth is below SHALLOWEST_MM.
     """
-    file = folder / SENSOR if sensor is None else Path(sensor)
-    if mm_per_px is None:
-        return file
-    if file.exists():
-        _read_scale(file, mm_per_px)
-        return file
-    if sensor is not None or not folder.is_dir():
-        return file
-    return write_scale(folder, shape or read_frames(folder)[1][0].image.shape[:2], mm_per_px)
+    radii_mm = mm_per_px * np.array([press.circle.radius_px for press in found.used if press.circle is not None])
+    depths_mm = ball_radius_mm - np.sqrt(ball_radius_mm**2 - np.minimum(radii_mm, STEEPEST * ball_radius_mm) ** 2)
+    if depths_mm.max() < SHALLOWEST_MM:
+        raise CalibrationError(
+            f"imprints of radius {radii_mm.min():.2g} to {radii_mm.max():.2g} mm would be at most "
+            f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check `ball_radius` and "
+            "`mm_per_px`, both in mm"
+        )
+    return float(depths_mm.min()), float(depths_mm.max())
 
 
-def _require_lengths(ball_radius_mm: float | None, mm_per_px: float | None) -> None:
-    for setting, value in (("ball_radius", ball_radius_mm), ("mm_per_px", mm_per_px)):
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise ConfigError(f"`{setting}` cannot be {value:g}; give a positive number (mm)")
+def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> Path:
+    """Write `presses.csv` with the used presses, and return its path.
 
-
-def _find_labels(
-    folder: Path, frames: list[PressImage], mm_per_px: float, ball_radius_mm: float, progress: Progress | None
-) -> BallLabels:
-    found = find_presses(frames, ball_radius_mm / mm_per_px, progress)
-    labels = BallLabels(found, estimate_depths_mm(found, ball_radius_mm, mm_per_px))
-    write_labels(folder, found, ball_radius_mm, mm_per_px)
-    return labels
+    If no image shows the untouched gel, the composed image is written, too. Circles larger than the ball are reduced:
+    see `write_table`. Raises CalibrationError when there is a table already, and OutputError when a file cannot be
+    written.
+    """
+    table = folder / TABLE
+    if table.exists():
+        raise CalibrationError(f"{table} already exists; remove it to detect the balls again")
+    names = list(found.untouched_names)
+    if not names:
+        write_atomically(folder / UNTOUCHED, lambda path: write_image(path, found.untouched))
+        names = [UNTOUCHED]
+    rows: list[tuple[str, tuple[float, float, float] | None]] = [(name, None) for name in names]
+    for press in found.used:
+        assert press.circle is not None
+        x, y, radius = (round(v, 2) for v in (press.circle.x_px, press.circle.y_px, press.circle.radius_px))
+        rows.append((press.name, (x, y, radius)))
+    return write_table(table, rows, ball_radius_mm, mm_per_px)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,7 +148,13 @@ def label_surface(indentation_m: NDArray[np.floating], contact: Mask, geometry: 
 
 
 class LabelledPresses(ABC):
-    """A set of images of presses with their labels. Large sets may read images on demand."""
+    """Images of presses on a sensor with a `geometry`, with their labels. Large sets may read images on demand.
+
+    `background` (H, W, 3) is the image of the untouched gel with which images are compared.
+    """
+
+    geometry: SensorGeometry
+    background: Image
 
     @abstractmethod
     def __len__(self) -> int:
@@ -165,13 +172,26 @@ class LabelledPresses(ABC):
         """Yield the image and the label of every press."""
         return (self.read_press(number) for number in range(len(self)))
 
+    @property
+    def untouched(self) -> Image:
+        """The image (H, W, 3) of the untouched gel as the camera takes it, with marker dots."""
+        return self.background
 
-@dataclass(frozen=True, eq=False)
+    def describe(self) -> dict[str, Any]:
+        """Return JSON values that identify the presses and the sensor in store keys."""
+        raise NotImplementedError
+
+    def record(self) -> dict[str, Any]:
+        """Return what a calibration records about the presses, as JSON values."""
+        return {}
+
+
 class Chosen(LabelledPresses):
     """A subset of the presses in `whole`: the presses with these `numbers`, in this order."""
 
-    whole: LabelledPresses
-    numbers: Sequence[int]
+    def __init__(self, whole: LabelledPresses, numbers: Sequence[int]) -> None:
+        self.whole, self.numbers = whole, numbers
+        self.geometry, self.background = whole.geometry, whole.background
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -179,7 +199,3 @@ class Chosen(LabelledPresses):
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return the image (H, W, 3) and the label of a press."""
         return self.whole.read_press(self.numbers[number])
-
-    def name(self, number: int) -> str:
-        """Return the name of a press."""
-        return self.whole.name(self.numbers[number])

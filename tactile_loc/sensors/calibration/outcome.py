@@ -1,26 +1,35 @@
-"""The outcome of a calibration: the estimator, its errors in words, and its folder."""
+"""Calibrates a sensor: trains an estimator on most presses, and measures its errors on the others."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import CalibrationError, SensorError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.sensor_files import read_sensor_file
-from tactile_loc.sensors.calibration.calibrate import calibrate_stage
-from tactile_loc.sensors.calibration.folder import write_calibration
-from tactile_loc.sensors.calibration.gel_fit import GelFit
-from tactile_loc.sensors.calibration.labels import Image, LabelledPresses
-from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator
+from tactile_loc.sensors.calibration.folder import WEIGHTS, write_calibration
+from tactile_loc.sensors.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
+from tactile_loc.sensors.calibration.presses import choose_size_px, read_presses
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator, make_estimator
+from tactile_loc.sensors.reading.reading import find_worst, measure_health, read_gel
+from tactile_loc.slots.encoder import Checkpoints
+from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
+from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
+HELD_OUT = 0.2  # share of the presses on which the errors are measured
+FEWEST = 5  # fewest presses for a calibration: four for training and one held out
+STAGE_VERSION, RECORD = 5, "held-out"
+LOOKED_AT = 60  # largest number of presses for which the health is measured
 QUANTITIES = {
     "slope_deg": ("surface angle in the contact", 1, ".2f", "°"),
     "shape_m": ("indentation in the contact, up to a constant", 1e3, ".3f", " mm"),
@@ -31,14 +40,14 @@ QUANTITIES = {
 
 @dataclass(frozen=True, eq=False)
 class CalibrationOutcome:
-    """A trained `estimator`, its `presses`, the image (H, W, 3) of the untouched gel, and a record as JSON values.
+    """A trained `estimator`, its `presses`, and a record as JSON values.
 
-    `facts` are sentences about the gel, if it was measured.
+    The record has the errors on the held-out presses, the noise of the untouched gel (`noise_m`, metres), and the worst
+    health of the training presses. `facts` are sentences about the gel, if it was measured.
     """
 
     presses: LabelledPresses
     estimator: GelEstimator
-    background: Image
     record: dict[str, Any]
     facts: tuple[str, ...] = ()
 
@@ -49,7 +58,7 @@ class CalibrationOutcome:
 
     @property
     def mean_errors(self) -> dict[str, float]:
-        """The mean errors on the held-out presses by name; lengths in metres, angles in degrees."""
+        """The mean errors on the held-out presses by name: see `measure_press`."""
         return dict(self.record["held_out"]["mean"])
 
     @property
@@ -69,13 +78,99 @@ class CalibrationOutcome:
     def convert_errors(self) -> dict[str, float]:
         """Return the mean errors with angles in radians, too."""
         mean = self.mean_errors
-        slope = {"slope_rad": math.radians(mean["slope_deg"])} if "slope_deg" in mean else {}
-        return {**slope, **{name: value for name, value in mean.items() if name != "slope_deg"}}
+        slope = {"slope_rad": math.radians(mean.pop("slope_deg"))} if "slope_deg" in mean else {}
+        return {**slope, **mean}
 
     def write(self, folder: Path) -> Path:
         """Write the calibration folder, and return it. Raises OutputError as `write_calibration` does."""
         record = {"presses": len(self.presses), **self.record}
-        return write_calibration(folder, self.estimator.geometry, self.background, self.estimator, record)
+        return write_calibration(folder, self.estimator, self.presses.untouched, record)
+
+
+def calibrate(
+    presses: LabelledPresses,
+    recipe: EstimatorRecipe,
+    progress: Progress | None = None,
+    checkpoints: Checkpoints | None = None,
+) -> CalibrationOutcome:
+    """Train an estimator on four fifths of the presses, and measure its errors on the other presses.
+
+    Raises CalibrationError when there are fewer than FEWEST presses.
+    """
+    if len(presses) < FEWEST:
+        raise CalibrationError(f"there are only {len(presses)} presses; give at least {FEWEST}, better 30")
+    made = make_estimator(recipe.estimator, recipe.options, presses.geometry, presses.background)
+    learned, held_out = split(len(presses), recipe.seed)
+    made.fit(Chosen(presses, learned), progress or Progress(), checkpoints or Checkpoints())
+    mean = average_errors([measure_press(made, *presses.read_press(number)) for number in held_out])
+    images = (presses.read_press(number)[0] for number in learned[:: -(-len(learned) // LOOKED_AT)])
+    usual = find_worst(measure_health(i, made.untouched, made.read(i)[1], made.geometry) for i in images)
+    record = {"noise_m": mean.get("untouched_m", 0.0), "held_out": {"presses": list(held_out), "mean": mean}}
+    return CalibrationOutcome(presses, made, {**record, "health": usual.record()})
+
+
+def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Draw the held-out presses from `count` presses. Return the numbers of the training and the held-out presses.
+
+    Both tuples are sorted.
+    """
+    drawn = np.random.default_rng(seed).permutation(count)
+    few = max(1, round(HELD_OUT * count))
+    return tuple(sorted(drawn[few:].tolist())), tuple(sorted(drawn[:few].tolist()))
+
+
+def measure_press(estimator: GelEstimator, image: Image, label: PressLabel) -> dict[str, float]:
+    """Return the errors of an estimator for one press by name, without unknown errors. Lengths are in metres.
+
+    `slope_deg` is the mean absolute error of the surface's angles along x and y in the contact, degrees. It is unknown
+    for an estimator without slopes. `shape_m` is the RMS error of the indentation in the contact after the mean error
+    is subtracted. `depth_m` is the RMS error without this subtraction. It is unknown if the label is not absolute.
+    `untouched_m` is the RMS of the estimated indentation where the gel is untouched.
+    """
+    indentation, slopes = read_gel(estimator, image, estimator.geometry.gel)
+    off = indentation - label.indentation_m
+    inside = off[label.contact]
+    known = label.contact & label.known
+    errors = {}
+    if slopes is not None and known.any():
+        off_rad = np.arctan(slopes[known]) - np.arctan(label.slope[known])
+        errors["slope_deg"] = float(np.degrees(np.abs(off_rad)).mean())
+    if inside.size:
+        errors["shape_m"] = _rms(inside - inside.mean())
+        errors |= {"depth_m": _rms(inside)} if label.absolute else {}
+    untouched = off[label.known & ~label.contact]
+    return {**errors, "untouched_m": _rms(untouched)} if untouched.size else errors
+
+
+def average_errors(errors: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Return the mean of each error of `measure_press` over the presses for which the error is known."""
+    known = {name: [one[name] for one in errors if name in one] for name in QUANTITIES}
+    return {name: float(np.mean(values)) for name, values in known.items() if values}
+
+
+def _rms(values: NDArray[np.floating]) -> float:
+    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
+
+
+def calibrate_stage(
+    presses: LabelledPresses, recipe: EstimatorRecipe, store: StageStore, progress: Progress
+) -> CalibrationOutcome:
+    """Calibrate with presses, or load the stored outcome. The record contains what the presses `record`.
+
+    Raises ConfigError for wrong options of the estimator before anything is stored.
+    """
+    made = make_estimator(recipe.estimator, recipe.options, presses.geometry, presses.background)
+    options = made.options.model_dump(mode="json")
+    described = {"estimator": recipe.estimator, "options": options, "seed": recipe.seed}
+
+    def learn(work: Workspace) -> None:
+        done = calibrate(presses, recipe, progress, WorkspaceCheckpoints(work))
+        work.save_file(WEIGHTS, done.estimator.save)
+        work.save_json(RECORD, done.record)
+
+    artifact = store.build(StageKey("calibration", STAGE_VERSION, {**presses.describe(), **described}), learn)
+    made.load(artifact.find_file(WEIGHTS))
+    return CalibrationOutcome(presses, made, {**artifact.load_json(RECORD), **presses.record()})
 
 
 @dataclass(frozen=True)
@@ -106,59 +201,16 @@ def calibrate_folder(
     """
     if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; give a folder with images of presses and presses.csv")
+    if isinstance(sensor, Path) and not os.path.isfile(sensor):
+        raise SensorError(f"there is no sensor file {sensor}; write it (docs/files.md), or give `sensor`")
     recipe, reading, watcher = recipe or EstimatorRecipe(), reading or FolderReading(), progress or Progress()
-    camera = sensor if isinstance(sensor, SensorGeometry) else _read_geometry(sensor)
+    camera = sensor if isinstance(sensor, SensorGeometry) else read_sensor_file(sensor)
     presses = read_presses(folder, camera, reading.median_background, reading.size_px or choose_size_px(camera))
     if reading.curved:
-        presses = _curve_gel(presses, recipe.seed, watcher)
+        from tactile_loc.sensors.reading.relief import learn_relief
+
+        relief_m = learn_relief(presses, recipe.seed, watcher)
+        presses = replace(presses, geometry=replace(presses.geometry, relief_m=relief_m))
     presses = presses.measure_gel(progress=watcher)
-    made, record = calibrate_stage(presses, folder, recipe, store or StageStore(), watcher)
-    facts = (*(_describe_curve(presses) if reading.curved else ()), *_describe_gel(presses))
-    return CalibrationOutcome(presses, made, presses.untouched, {**record, **presses.record()}, facts)
-
-
-def _read_geometry(path: Path) -> SensorGeometry:
-    if not os.path.isfile(path):
-        raise SensorError(f"there is no sensor file {path}; write it (docs/files.md), or give `sensor`")
-    return read_sensor_file(path)
-
-
-def _curve_gel(presses: PressFolder, seed: int, progress: Progress) -> PressFolder:
-    from tactile_loc.sensors.reading.relief import learn_relief
-
-    relief_m = learn_relief(presses, seed, progress)
-    return dataclasses.replace(presses, geometry=dataclasses.replace(presses.geometry, relief_m=relief_m))
-
-
-def _describe_curve(presses: PressFolder) -> list[str]:
-    relief_m = presses.geometry.relief_m
-    if relief_m is None:
-        return []
-    return [f"the gel is curved: its edge is up to {-1e3 * relief_m.min():.2f} mm lower than its top"]
-
-
-def _describe_gel(presses: PressFolder) -> list[str]:
-    elastic = [] if presses.fit is None else [_describe_elasticity(presses.fit)]
-    return [*elastic, *_describe_dots(presses)]
-
-
-def _describe_elasticity(fit: GelFit) -> str:
-    mm = 1e3
-    shares = f"{100 * fit.rms:.0f} % of the colour profiles unexplained, a rigid gel {100 * fit.rigid_rms:.0f} %"
-    if not fit.is_elastic:
-        return f"the gel is taken for rigid: an elastic gel leaves {shares}"
-    return (
-        f"the gel is elastic: effective thickness {mm * fit.thickness_m:.1f} mm (standard deviation "
-        f"{mm * fit.std_m:.1f} mm), coating {mm * fit.coating_m:.2f} mm; it leaves {shares}"
-    )
-
-
-def _describe_dots(presses: PressFolder) -> list[str]:
-    dots = presses.record().get("dots", {})
-    if not dots.get("count"):
-        return []
-    return [
-        f"the gel has {dots['count']} marker dots, {1e3 * dots['diameter_m']:.2f} mm wide and "
-        f"{1e3 * dots['spacing_m']:.2f} mm apart; they cover {100 * dots['covered']:.0f} % of the image and are "
-        "filled in"
-    ]
+    outcome = calibrate_stage(presses, recipe, store or StageStore(), watcher)
+    return replace(outcome, facts=tuple(presses.list_facts()))

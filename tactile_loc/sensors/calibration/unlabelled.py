@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TypeGuard
 
 import numpy as np
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.io.images import write_image
 from tactile_loc.sensors.calibration.circles import (
     Circle,
     Imprint,
@@ -28,12 +26,9 @@ from tactile_loc.sensors.calibration.circles import (
     measure_concentration,
 )
 from tactile_loc.sensors.calibration.frames import PressImage
-from tactile_loc.sensors.calibration.labels import STEEPEST, Float32, Image, Mask
-from tactile_loc.sensors.calibration.presses import TABLE, write_table
+from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
 from tactile_loc.sensors.reading.markers import UntouchedGel
-from tactile_loc.store.files import write_atomically
 
-UNTOUCHED = "untouched-gel.png"  # the composed image of the untouched gel
 LIKENESS, CONTRAST = 0.65, 4.0  # least likeness of a ball's imprint, and least contrast, counts
 BLURRED = 0.45  # least likeness of a ball's imprint if there is a second ball in the image
 QUIET, STILL = 0.2, 0.5  # limits of an untouched image's change if it looks like a ball or not, share of usual contrast
@@ -51,7 +46,6 @@ KEPT = 6  # number of images from which each pixel of the untouched gel is compo
 AWAY = (1.3, 2.0)  # distances from an imprint's centre, radii: touched within the first, hardly beyond the second
 ORDER = 5  # degree of the polynomial that fills in pixels that are touched in all images
 PIECED = 2  # number of times that the untouched gel is composed, each time with better circles
-SHALLOWEST_MM = 0.05  # least depth of the deepest press; a smaller depth shows that the ball's radius is wrong
 HOW_TO_PRESS = "press the ball so that its whole imprint is in the image, and add an image of the untouched gel"
 
 Array = NDArray[np.float64]
@@ -87,6 +81,11 @@ class FoundPresses:
     def used(self) -> tuple[FoundPress, ...]:
         """The presses that were not dropped."""
         return tuple(press for press in self.presses if not press.dropped)
+
+    @property
+    def title(self) -> str:
+        """The number of used images in words."""
+        return f"{len(self.used)} of {len(self.presses)} presses are used"
 
 
 def find_presses(
@@ -148,22 +147,6 @@ def _describe_causes(counted: Sequence[tuple[int, str]]) -> str:
     if not counted:
         return "all show the untouched gel"
     return "rejected: " + ", ".join(f"{reason} in {n} {'image' if n == 1 else 'images'}" for n, reason in counted)
-
-
-def estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
-    """Estimate the least and the largest press depth, mm, from the balls' visible circles.
-
-    Raises CalibrationError when even the largest depth is below SHALLOWEST_MM.
-    """
-    radii_mm = mm_per_px * np.array([press.circle.radius_px for press in found.used if press.circle is not None])
-    depths_mm = ball_radius_mm - np.sqrt(ball_radius_mm**2 - np.minimum(radii_mm, STEEPEST * ball_radius_mm) ** 2)
-    if depths_mm.max() < SHALLOWEST_MM:
-        raise CalibrationError(
-            f"imprints of radius {radii_mm.min():.2g} to {radii_mm.max():.2g} mm would be at most "
-            f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check `ball_radius` and "
-            "`mm_per_px`, both in mm"
-        )
-    return float(depths_mm.min()), float(depths_mm.max())
 
 
 def _take_median(images: Sequence[Image]) -> Image:
@@ -363,25 +346,3 @@ def _extract_details(image: Float32) -> Float32:
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(image, (1, 1, 0)) - gaussian_filter(image, (6, 6, 0)), np.float32)
-
-
-def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> Path:
-    """Write `presses.csv` with the used presses, and return its path.
-
-    If no image shows the untouched gel, the composed image is written, too. Circles larger than the ball are reduced:
-    see `write_table`. Raises CalibrationError when there is a table already, and OutputError when a file cannot be
-    written.
-    """
-    table = folder / TABLE
-    if table.exists():
-        raise CalibrationError(f"{table} already exists; remove it to detect the balls again")
-    names = list(found.untouched_names)
-    if not names:
-        write_atomically(folder / UNTOUCHED, lambda path: write_image(path, found.untouched))
-        names = [UNTOUCHED]
-    rows: list[tuple[str, tuple[float, float, float] | None]] = [(name, None) for name in names]
-    for press in found.used:
-        assert press.circle is not None
-        x, y, radius = (round(v, 2) for v in (press.circle.x_px, press.circle.y_px, press.circle.radius_px))
-        rows.append((press.name, (x, y, radius)))
-    return write_table(table, rows, ball_radius_mm, mm_per_px)

@@ -20,9 +20,11 @@ from torch import nn
 
 from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
 from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.labels import Float32, Image
-from tactile_loc.sensors.reading.estimator import PLANES, CalibrationProblem, GelEstimator, stack_features
+from tactile_loc.sensors.calibration.labels import Float32, Image, LabelledPresses
+from tactile_loc.sensors.reading.estimator import PLANES, GelEstimator, stack_features
+from tactile_loc.slots.encoder import Checkpoints
 
 Dilation = Annotated[int, Field(ge=1, le=256)]
 
@@ -90,18 +92,18 @@ class Samples:
     deepest_m: float
 
     @classmethod
-    def of(cls, problem: CalibrationProblem, fixed: NDArray[np.float32]) -> Samples:
-        """Load the presses of a problem. Raises CalibrationError when no press shows contact."""
-        geometry, deepest_m = problem.geometry, problem.geometry.max_depth_m
-        images = np.empty((len(problem.presses), *geometry.shape, 3), np.uint8)
+    def of(cls, presses: LabelledPresses, fixed: NDArray[np.float32], progress: Progress) -> Samples:
+        """Load presses. Raises CalibrationError when no press shows contact."""
+        geometry, deepest_m = presses.geometry, presses.geometry.max_depth_m
+        images = np.empty((len(presses), *geometry.shape, 3), np.uint8)
         shares = np.empty(images.shape[:3], np.float16)
-        with problem.progress.task("reading presses", len(images)) as advance:
-            for number, (image, label) in enumerate(problem.presses.read_presses()):
+        with progress.task("reading presses", len(images)) as advance:
+            for number, (image, label) in enumerate(presses.read_presses()):
                 images[number], shares[number] = image, label.indentation_m / np.float32(deepest_m)
                 advance(1)
         if not shares[:, geometry.observed_mask].any():
             raise CalibrationError("no press is in contact with the gel; check the poses or circles of the presses")
-        return cls(images, shares, problem.background, fixed, geometry.observed_mask, deepest_m)
+        return cls(images, shares, presses.background, fixed, geometry.observed_mask, deepest_m)
 
     def draw_crops(
         self, chosen: NDArray[np.int64], rng: np.random.Generator, crop_px: int
@@ -153,35 +155,34 @@ class Samples:
 
 
 class CnnTrainer:
-    """Trains a network on the presses of a problem.
+    """Trains a network on presses.
 
     The random numbers of an epoch depend only on the seed and the epoch's number. A resumed training therefore gives
     the same result as an uninterrupted training.
     """
 
     def __init__(
-        self, recipe: CnnEstimator.Options, problem: CalibrationProblem, network: GelNetwork, fixed: NDArray[np.float32]
+        self, recipe: CnnEstimator.Options, network: GelNetwork, samples: Samples, checkpoints: Checkpoints
     ) -> None:
-        self.recipe, self.problem, self.network = recipe, problem, network
-        self.samples = Samples.of(problem, fixed)
+        self.recipe, self.network, self.samples, self.checkpoints = recipe, network, samples, checkpoints
         self.optimizer = torch.optim.Adam(network.parameters(), recipe.rate)
         self.steps = -(-len(self.samples.images) // recipe.batch)
         self.epoch = 0
 
-    def run(self) -> None:
+    def run(self, progress: Progress) -> None:
         """Train from the last checkpoint, if any, then set the network to evaluation mode.
 
         Raises TrainingError when the loss becomes NaN.
         """
         self.samples.normalise(self.network)
         self._resume()
-        with self.problem.progress.task("training the network", self.recipe.epochs) as advance:
+        with progress.task("training the network", self.recipe.epochs) as advance:
             advance(self.epoch)
             while self.epoch < self.recipe.epochs:
                 loss_m = self._train_epoch() * float(self.network.output_std)
                 self.epoch += 1
                 self._save_checkpoint()
-                self.problem.progress.note(f"RMS error {1e3 * loss_m:.4f} mm")
+                progress.note(f"RMS error {1e3 * loss_m:.4f} mm")
                 log.info("epoch %d: RMS error %.4f mm", self.epoch, 1e3 * loss_m)
                 advance(1)
         self.network.eval()
@@ -229,12 +230,12 @@ class CnnTrainer:
         for number, state in self.optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{number}.{k}": torch.as_tensor(v) for k, v in state.items()}
         copies = {k: v.detach().clone(memory_format=torch.contiguous_format) for k, v in tensors.items()}
-        self.problem.checkpoints.save(lambda path: save_file(copies, path, {"epoch": str(self.epoch)}))
+        self.checkpoints.save(lambda path: save_file(copies, path, {"epoch": str(self.epoch)}))
 
     def _resume(self) -> None:
         from safetensors import safe_open
 
-        path = self.problem.checkpoints.load()
+        path = self.checkpoints.load()
         if path is None:
             return
         with safe_open(path, framework="pt") as file:
@@ -285,12 +286,13 @@ class CnnEstimator(GelEstimator):
             torch.manual_seed(chosen.seed)
             self._network: GelNetwork = GelNetwork(chosen.channels, chosen.dilations, chosen.dropout).eval()
 
-    def fit(self, problem: CalibrationProblem) -> None:
+    def fit(self, presses: LabelledPresses, progress: Progress, checkpoints: Checkpoints) -> None:
         """Learn the contact's indentation at all observed pixels.
 
         Raises CalibrationError when no press shows contact, and TrainingError when the loss becomes NaN.
         """
-        CnnTrainer(self.options, problem, self._network, self._fixed).run()
+        samples = Samples.of(presses, self._fixed, progress)
+        CnnTrainer(self.options, self._network, samples, checkpoints).run(progress)
 
     def read(self, image: Image) -> tuple[Float32, None]:
         """Return the contact's indentation (H, W), metres, and None, because slopes are not estimated."""

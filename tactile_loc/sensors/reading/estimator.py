@@ -33,20 +33,6 @@ COLOUR_STEP = 64.0  # colour difference that is scaled to 1, counts of 255
 BACKGROUND_M = 2e-4  # standard deviation of the smoothing that removes the background's grain
 
 
-@dataclass(frozen=True, eq=False)
-class CalibrationProblem:
-    """An estimator's training data: labelled presses on a sensor with a `geometry`.
-
-    `background` (H, W, 3) is the image of the sensor's untouched gel.
-    """
-
-    geometry: SensorGeometry
-    background: Image
-    presses: LabelledPresses
-    progress: Progress = field(default_factory=Progress)
-    checkpoints: Checkpoints = field(default_factory=Checkpoints)
-
-
 @dataclass(frozen=True)
 class EstimatorRecipe:
     """How to learn an estimator: its name, its options by name, and the seed that draws the held-out presses."""
@@ -54,11 +40,6 @@ class EstimatorRecipe:
     estimator: str = "photometric"
     options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
-
-    def make_estimator(self, geometry: SensorGeometry, background: Image) -> GelEstimator:
-        """Return the untrained estimator of a sensor. Raises ConfigError for wrong options, and as `load_estimator`."""
-        kind = load_estimator(self.estimator)
-        return kind(geometry, background, validate_estimator_options(kind, self.options))
 
 
 class GelEstimator(ABC):
@@ -82,8 +63,11 @@ class GelEstimator(ABC):
         self.options: Any = options if options is not None else self.Options()
 
     @abstractmethod
-    def fit(self, problem: CalibrationProblem) -> None:
-        """Learn from labelled presses. Raises TrainingError when the training fails."""
+    def fit(self, presses: LabelledPresses, progress: Progress, checkpoints: Checkpoints) -> None:
+        """Learn from labelled presses, or resume from the checkpoints.
+
+        Raises CalibrationError when no press shows contact, and TrainingError when the training fails.
+        """
 
     @abstractmethod
     def read(self, image: Image) -> tuple[Float32, Float32 | None]:
@@ -121,27 +105,22 @@ class GelEstimator(ABC):
             ) from error
 
 
-def load_estimator(name: str) -> type[GelEstimator]:
-    """Return the class of the estimator named `name`.
+def make_estimator(name: str, options: Mapping[str, Any], geometry: SensorGeometry, background: Image) -> GelEstimator:
+    """Return the untrained estimator named `name` of a sensor.
 
-    Raises CalibrationError when the name is unknown, and MissingLibraryError when torch is not installed.
+    Raises CalibrationError when the name is unknown, MissingLibraryError when torch is not installed, and ConfigError
+    for unknown or ill-typed options.
     """
     if name not in ESTIMATORS:
         raise CalibrationError(f"there is no estimator {name!r}; {advise_choice(name, ESTIMATORS)}")
     module, _, attribute = ESTIMATORS[name].partition(":")
     try:
-        found: type[GelEstimator] = getattr(importlib.import_module(module), attribute)
+        kind: type[GelEstimator] = getattr(importlib.import_module(module), attribute)
     except ImportError as error:
         raise MissingLibraryError(
             f"a calibrated sensor needs {error.name}, which is not installed: pip install 'tactile-loc[learned]'"
         ) from error
-    return found
-
-
-def validate_estimator_options(kind: type[GelEstimator], options: Mapping[str, Any]) -> ComponentOptions:
-    """Return an estimator's options. Raises ConfigError for unknown or ill-typed options."""
-    chosen: ComponentOptions = validate_options(kind.Options, options, f"the estimator {kind.name!r}")
-    return chosen
+    return kind(geometry, background, validate_options(kind.Options, options, f"the estimator {name!r}"))
 
 
 def scale_difference(image: Image, background: Image) -> Float32:

@@ -17,10 +17,12 @@ from torch import nn
 
 from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
 from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.labels import Float32, Image
-from tactile_loc.sensors.reading.estimator import DIFFERENCE, FIXED, CalibrationProblem, GelEstimator, scale_difference
+from tactile_loc.sensors.calibration.labels import Float32, Image, LabelledPresses
+from tactile_loc.sensors.reading.estimator import DIFFERENCE, FIXED, GelEstimator, scale_difference
 from tactile_loc.sensors.reading.surface import find_indentation
+from tactile_loc.slots.encoder import Checkpoints
 
 SMOOTHINGS_PX = (1.0, 3.0)  # Gaussian widths that smooth the colour difference: against noise, and for the surroundings
 FEATURES = DIFFERENCE * len(SMOOTHINGS_PX) + FIXED
@@ -69,17 +71,17 @@ class PhotometricEstimator(GelEstimator):
             torch.manual_seed(self.options.seed)
             self._network: SlopeNetwork = SlopeNetwork(self.options.hidden)
 
-    def fit(self, problem: CalibrationProblem) -> None:
+    def fit(self, presses: LabelledPresses, progress: Progress, checkpoints: Checkpoints) -> None:
         """Learn the slopes of the pixels in contact and of some untouched pixels.
 
         Raises CalibrationError when no press shows contact, and TrainingError when the loss becomes NaN.
         """
-        features, slopes = self._collect_samples(problem)
+        features, slopes = self._collect_samples(presses)
         angles = slopes.atan()
         generator = torch.Generator().manual_seed(self.options.seed)
         optimizer = torch.optim.AdamW(self._network.parameters(), self.options.rate, weight_decay=1e-3)
-        steps = self.options.steps or min(STEPS_A_PRESS * len(problem.presses), MOST_STEPS)
-        with problem.progress.task("learning slope from colour", steps) as advance:
+        steps = self.options.steps or min(STEPS_A_PRESS * len(presses), MOST_STEPS)
+        with progress.task("learning slope from colour", steps) as advance:
             for step in range(steps):
                 for group in optimizer.param_groups:
                     group["lr"] = self.options.rate * 0.5 * (1.003 + math.cos(math.pi * step / steps))
@@ -93,7 +95,7 @@ class PhotometricEstimator(GelEstimator):
                 optimizer.step()
                 if step % REPORT_EVERY == 0:
                     mean_rad = float(off_rad.detach().abs().mean())
-                    problem.progress.note(f"mean error of the angle {math.degrees(mean_rad):.2f}°")
+                    progress.note(f"mean error of the angle {math.degrees(mean_rad):.2f}°")
                 advance(1)
 
     def estimate_slopes(self, image: Image) -> Float32:
@@ -115,14 +117,14 @@ class PhotometricEstimator(GelEstimator):
         smooth = [gaussian_filter(planes, (0, s, s), mode="nearest", truncate=3) for s in SMOOTHINGS_PX]
         return np.concatenate([np.moveaxis(np.concatenate(smooth), 0, -1), self._fixed], axis=-1)
 
-    def _collect_samples(self, problem: CalibrationProblem) -> tuple[torch.Tensor, torch.Tensor]:
+    def _collect_samples(self, presses: LabelledPresses) -> tuple[torch.Tensor, torch.Tensor]:
         """Return features (P, FEATURES) and slopes (P, 2) of the training pixels.
 
         These are all pixels with a known label that are in contact or slope, and some other pixels.
         """
         rng = np.random.default_rng(self.options.seed)
         features, slopes, touched = [], [], 0
-        for image, label in problem.presses.read_presses():
+        for image, label in presses.read_presses():
             slopes_visibly = np.hypot(label.slope[..., 0], label.slope[..., 1]) > LEAST_SLOPE
             inside = label.known & (label.contact | slopes_visibly)
             touched += int((label.known & label.contact).sum())

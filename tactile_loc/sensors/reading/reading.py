@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import recover_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.io.images import read_photo
 from tactile_loc.sensors.calibration.labels import Float32, Image
 from tactile_loc.sensors.reading.surface import differentiate, integrate
 
@@ -92,11 +90,6 @@ def require_image(
             f"{advice}"
         )
     return image
-
-
-def read_zero(path: Path) -> Image:
-    """Read a newer image (H, W, 3) of the untouched gel. Raises TouchError when the file is not a colour image."""
-    return read_photo(path)
 
 
 def measure_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry, areas: float = 1.0) -> float:

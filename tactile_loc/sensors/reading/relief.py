@@ -21,6 +21,7 @@ from torch import nn
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.sensors.calibration.gel_fit import BallImage
 from tactile_loc.sensors.calibration.labels import Float32, Image
 from tactile_loc.sensors.calibration.presses import PressFolder
 
@@ -55,14 +56,14 @@ def learn_relief(presses: PressFolder, seed: int = 0, progress: Progress | None 
 
     Raises CalibrationError when there are fewer than FEWEST presses of a ball.
     """
-    balls = [number for number, row in enumerate(presses.rows) if row.kind == "ball"]
+    balls = [presses.read_ball(number) for number in presses.list_balls()]
     if len(balls) < FEWEST:
         raise CalibrationError(
             f"there are {len(balls)} presses of a ball; give at least {FEWEST}, all over the gel, to learn a curved "
             "surface"
         )
     terms, slopes = _evaluate_terms(presses.geometry)
-    pixels = _collect_pixels(presses, balls, slopes, np.random.default_rng(seed))
+    pixels = _collect_pixels(balls, presses, slopes, np.random.default_rng(seed))
     coefficients = _fit_polynomial(pixels, seed, progress or Progress())
     relief_m = terms @ coefficients * UNIT_M
     return (relief_m - relief_m.max()).astype(np.float32)
@@ -104,18 +105,19 @@ def _predict_slopes(pixels: _Pixels, relief: torch.Tensor) -> torch.Tensor:
 
 
 def _collect_pixels(
-    presses: PressFolder, balls: list[int], slopes: NDArray[np.float64], rng: np.random.Generator
+    balls: list[BallImage], presses: PressFolder, slopes: NDArray[np.float64], rng: np.random.Generator
 ) -> _Pixels:
     """Return all pixels in the balls' imprints, and half as many pixels of the untouched gel."""
-    x, y = np.meshgrid(*presses.geometry.pixel_slopes)
+    geometry, (sx, sy) = presses.geometry, presses.geometry.scale_at_surface
+    x, y = np.meshgrid(*geometry.pixel_slopes)
     parts = []
-    for number in balls:
-        (cx, cy), circle_m, ball_m = presses.place_circle(number)
-        inside = np.hypot(x - cx, y - cy) < INNER * circle_m
+    for image, circle, ball_m, pitch_m in balls:
+        cx, cy = (circle.x_px - geometry.cx) / sx, (circle.y_px - geometry.cy) / sy
+        inside = np.hypot(x - cx, y - cy) < INNER * circle.radius_px * pitch_m
         row, column = np.unravel_index(np.hypot(x - cx, y - cy).argmin(), x.shape)
         at = np.broadcast_to(slopes[row, column], (int(inside.sum()), *slopes.shape[2:]))
         off_m = np.stack([x[inside] - cx, y[inside] - cy], axis=-1)
-        parts.append((_smooth_colours(presses.images[number])[inside], off_m, np.full((len(off_m), 1), ball_m), at))
+        parts.append((_smooth_colours(image)[inside], off_m, np.full((len(off_m), 1), ball_m), at))
     some = rng.permutation(x.size)[: sum(len(part[0]) for part in parts) // 2]
     untouched = _smooth_colours(presses.background).reshape(-1, 3)[some]
     rest = slopes.reshape(-1, *slopes.shape[2:])[some]

@@ -30,7 +30,7 @@ from tactile_loc.sensors.calibration.folder import (  # noqa: E402
     require_replaceable,
     write_calibration,
 )
-from tactile_loc.sensors.reading.estimator import validate_estimator_options  # noqa: E402
+from tactile_loc.sensors.reading.estimator import GelEstimator, make_estimator  # noqa: E402
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator  # noqa: E402
 from tactile_loc.store import files  # noqa: E402
 
@@ -40,13 +40,12 @@ GEOMETRY = sensor(64, rectangle_m=(-0.007, 0.006, -0.005, 0.0075), observed=MASK
 NOISE = {"noise_m": 7e-6, "presses": 12}
 
 
-def untrained(seed: int = 0) -> PhotometricEstimator:
-    options = validate_estimator_options(PhotometricEstimator, {**TINY, "seed": seed})
-    return PhotometricEstimator(GEOMETRY, BALLS.background, options)
+def untrained(seed: int = 0) -> GelEstimator:
+    return make_estimator("photometric", {**TINY, "seed": seed}, GEOMETRY, BALLS.background)
 
 
 def write(folder: Path, seed: int = 0) -> Path:
-    return write_calibration(folder, GEOMETRY, BALLS.background, untrained(seed), NOISE)
+    return write_calibration(folder, untrained(seed), BALLS.background, NOISE)
 
 
 @pytest.fixture
@@ -142,7 +141,7 @@ def test_a_kill_at_any_step_leaves_the_old_or_the_new_calibration(folder, monkey
     if not exchanges:
         monkeypatch.setattr(files, "_exchange", lambda one, other: False)
     new, seen = untrained(1), set()
-    for _ in killed_at_every_step(lambda: write_calibration(folder, GEOMETRY, BALLS.background, new, NOISE)):
+    for _ in killed_at_every_step(lambda: write_calibration(folder, new, BALLS.background, NOISE)):
         found = read_calibration(folder)
         seen.add(found.estimator.options.seed)
         assert contents(folder).keys() == OURS - {PICTURE, "sensor_surface.npy"}

@@ -16,8 +16,9 @@ from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.sensors.calibration.frames import PressImage, choose_frames, read_frames, take_frames
+from tactile_loc.sensors.calibration.labelling import write_labels
 from tactile_loc.sensors.calibration.presses import read_presses
-from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses, write_labels
+from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
 from tactile_loc.view.calibration import draw_labels

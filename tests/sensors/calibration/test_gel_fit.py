@@ -17,7 +17,7 @@ from tactile_loc.sensors.calibration.circles import Circle
 from tactile_loc.sensors.calibration.gel_fit import BallImage, fit_gel
 from tactile_loc.sensors.calibration.labels import label_elastic_ball
 from tactile_loc.sensors.calibration.pressed_balls import DEPTHS, press_balls
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.surface import differentiate
 
 BALL_M, PITCH_M, PX = 3e-3, 1.2e-4, 140
@@ -115,8 +115,9 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fi
     monkeypatch.setattr(pressed_balls, "PIXELS", pixels)
     from PIL import Image
 
-    from tactile_loc.sensors.calibration.calibrate import calibrate
-    from tactile_loc.sensors.calibration.presses import choose_size_px, convert_presses, read_presses
+    from tactile_loc.sensors.calibration.outcome import calibrate
+    from tactile_loc.sensors.calibration.presses import choose_size_px, read_presses
+    from tactile_loc.sensors.calibration.public_sets import convert_presses
     from tactile_loc.sensors.reading.reading import read_gel, reduce_image
 
     balls, shapes = shared_data / "tactile/gelslim_balls", shared_data / "tactile/gelslim_shapes"
@@ -127,8 +128,7 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fi
     assert presses.fit is not None
     assert presses.fit.rms < 0.2 * presses.fit.rigid_rms
     geometry = presses.geometry
-    problem = CalibrationProblem(geometry, presses.background, presses)
-    estimator = calibrate(problem, EstimatorRecipe("photometric")).estimator
+    estimator = calibrate(presses, EstimatorRecipe("photometric")).estimator
 
     def read(path: Path) -> np.ndarray:
         image = np.asarray(Image.open(path).convert("RGB"))

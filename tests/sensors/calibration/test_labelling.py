@@ -9,7 +9,7 @@ from press_sets import BALL_M, MM, ball_set, write_image
 from tactile_loc.core.runtime.errors import CalibrationError, ConfigError
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.sensors.calibration.labelling import label_presses
-from tactile_loc.sensors.calibration.presses import SENSOR, TABLE
+from tactile_loc.sensors.calibration.press_table import SENSOR, TABLE
 
 BALLS = ball_set(7, px=80)
 RADIUS_MM, MM_PER_PX = BALL_M / MM, 0.2
@@ -25,14 +25,14 @@ def photos(tmp_path):
 
 def test_the_ball_is_found_in_each_photo(photos):
     labelled = label_presses(photos, None, RADIUS_MM, MM_PER_PX)
-    assert labelled.labels is not None
-    found = labelled.labels.found
+    found = labelled.found
+    assert found is not None
     assert found.untouched_names == ("background.png",)
     centres = [(press.circle.x_px, press.circle.y_px) for press in found.used]
     np.testing.assert_allclose(centres, BALLS.circles[:, :2], atol=0.7)
     assert 1e3 * read_sensor_file(labelled.sensor).pixel_pitch_m == pytest.approx(MM_PER_PX)
-    assert labelled.labels.title == "7 of 7 presses are used"
-    assert len(labelled.labels.describe()) == 2
+    assert found.title == "7 of 7 presses are used"
+    assert len(labelled.describe()) == 2
 
 
 @pytest.mark.slow
@@ -41,7 +41,7 @@ def test_an_existing_table_is_used(photos):
     table = (photos / TABLE).read_text()
     write_image(photos / "new.png", BALLS.images[0])
     again = label_presses(photos, None, RADIUS_MM, MM_PER_PX)
-    assert (again.labels, again.unlisted, again.sensor) == (None, 1, first.sensor)
+    assert (again.found, again.unlisted, again.sensor) == (None, 1, first.sensor)
     assert (photos / TABLE).read_text() == table
     with pytest.raises(ConfigError):
         label_presses(photos, None, 2 * RADIUS_MM, MM_PER_PX)

@@ -19,9 +19,10 @@ from public_sets import CIRCLES, PUBLIC_SETS
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_colour_image
-from tactile_loc.sensors.calibration.calibrate import average_errors, calibrate
-from tactile_loc.sensors.calibration.presses import FOR_MEDIAN, FORMATS, choose_size_px, convert_presses, read_presses
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
+from tactile_loc.sensors.calibration.outcome import calibrate
+from tactile_loc.sensors.calibration.presses import FOR_MEDIAN, choose_size_px, read_presses
+from tactile_loc.sensors.calibration.public_sets import FORMATS, convert_presses
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 
 BALLS = ball_set(3)
 GEOMETRY = BALLS.geometry
@@ -364,8 +365,7 @@ def test_public_sets_are_read_with_their_counts_and_circles(public, name):
 @pytest.mark.slow
 def test_a_few_training_steps_calibrate_a_real_sensor(public):
     presses = public("gelslim_balls")
-    problem = CalibrationProblem(presses.geometry, presses.background, presses)
-    mean = average_errors(calibrate(problem, EstimatorRecipe("photometric", {"steps": 150, "hidden": 16})).errors)
+    mean = calibrate(presses, EstimatorRecipe("photometric", {"steps": 150, "hidden": 16})).mean_errors
     assert mean["slope_deg"] < 5
     assert mean["shape_m"] < 8e-5
 

@@ -7,7 +7,7 @@ import pytest
 from press_sets import sensor
 
 from tactile_loc.sensors.calibration import simulated as module
-from tactile_loc.sensors.calibration.simulated import SHARD, simulate_presses
+from tactile_loc.sensors.calibration.simulated import SHARD, SimulatedSensor, simulate_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
 from tactile_loc.sensors.optics.simulate import press_boards
@@ -16,6 +16,7 @@ from tactile_loc.store.store import StageStore
 
 LAMPS = OPTICS["gelslim"]
 SENSOR = sensor(48, max_depth_m=2e-3)
+LIT = SimulatedSensor(SENSOR, LAMPS)
 
 
 @pytest.fixture
@@ -34,7 +35,7 @@ def rendered(count: int, seed: int):
 
 
 def test_labels_are_press_minus_depth_where_the_board_touches(store):
-    presses = simulate_presses(SENSOR, LAMPS, 18, 3, store, variation=0.0)
+    presses = simulate_presses(LIT, 18, 3, store, variation=0.0)
     images, indentation_m, press_m = rendered(18, 3)
     assert len(presses) == 18
     for number, (image, label) in enumerate(presses.read_presses()):
@@ -48,7 +49,7 @@ def test_labels_are_press_minus_depth_where_the_board_touches(store):
 
 @pytest.mark.slow
 def test_different_lamps_leave_the_untouched_gel_unchanged(store):
-    presses = simulate_presses(SENSOR, LAMPS, SHARD + 8, 0, store, variation=1.0)
+    presses = simulate_presses(LIT, SHARD + 8, 0, store, variation=1.0)
     assert np.array_equal(presses.background, render_background(SENSOR, LAMPS))
     for image, label in presses.read_presses():
         far = label.known & ~label.contact  # 3 mm from any contact
@@ -57,13 +58,13 @@ def test_different_lamps_leave_the_untouched_gel_unchanged(store):
 
 
 def test_lamps_differ_from_shard_to_shard(store):
-    even, varied = (simulate_presses(SENSOR, LAMPS, 8, 0, store, variation=v) for v in (0.0, 1.0))
+    even, varied = (simulate_presses(LIT, 8, 0, store, variation=v) for v in (0.0, 1.0))
     assert even.key != varied.key
     assert not np.array_equal(even.images[0], varied.images[0])
 
 
 def test_all_shards_exist_and_the_last_may_be_short(store):
-    presses = simulate_presses(SENSOR, LAMPS, SHARD + 3, 0, store)
+    presses = simulate_presses(LIT, SHARD + 3, 0, store)
     assert [len(shard) for shard in presses.images] == [SHARD, 3]
     image, label = presses.read_press(SHARD + 2)
     assert np.array_equal(image, presses.images[1][2])
@@ -74,21 +75,21 @@ def test_all_shards_exist_and_the_last_may_be_short(store):
 @pytest.mark.slow
 def test_the_seed_determines_the_presses(tmp_path):
     one, same, other = (
-        simulate_presses(SENSOR, LAMPS, 8, s, StageStore(tmp_path / n)) for s, n in zip((1, 1, 2), "abc", strict=True)
+        simulate_presses(LIT, 8, s, StageStore(tmp_path / n)) for s, n in zip((1, 1, 2), "abc", strict=True)
     )
     assert np.array_equal(one.images[0], same.images[0])
     assert not np.array_equal(one.codes[0], other.codes[0])
 
 
 def test_stored_presses_are_not_rendered_again(store, monkeypatch):
-    first = simulate_presses(SENSOR, LAMPS, 8, 0, store)
+    first = simulate_presses(LIT, 8, 0, store)
     monkeypatch.setattr(module, "press_boards", lambda *a, **k: pytest.fail("rendered again"))
-    assert np.array_equal(simulate_presses(SENSOR, LAMPS, 8, 0, store).images[0], first.images[0])
+    assert np.array_equal(simulate_presses(LIT, 8, 0, store).images[0], first.images[0])
 
 
 @pytest.mark.slow
 def test_an_interruption_keeps_the_finished_shards(tmp_path, monkeypatch):
-    whole = simulate_presses(SENSOR, LAMPS, SHARD + 8, 0, StageStore(tmp_path / "whole"))
+    whole = simulate_presses(LIT, SHARD + 8, 0, StageStore(tmp_path / "whole"))
     asked, real = [], module.press_boards
 
     def interrupted(geometry, count, *rest, **more):
@@ -100,8 +101,8 @@ def test_an_interruption_keeps_the_finished_shards(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "press_boards", interrupted)
     store = StageStore(tmp_path / "resumed")
     with pytest.raises(KeyboardInterrupt):
-        simulate_presses(SENSOR, LAMPS, SHARD + 8, 0, store)
-    resumed = simulate_presses(SENSOR, LAMPS, SHARD + 8, 0, store)
+        simulate_presses(LIT, SHARD + 8, 0, store)
+    resumed = simulate_presses(LIT, SHARD + 8, 0, store)
     assert asked == [SHARD, 8, 8]
     for got, want in zip(resumed.images, whole.images, strict=True):
         assert np.array_equal(got, want)

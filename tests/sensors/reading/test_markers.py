@@ -12,14 +12,14 @@ from press_sets import MM, TINY, ball_indentation, ball_set, photographed, senso
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.sensors.calibration.calibrate import calibrate
 from tactile_loc.sensors.calibration.folder import read_calibration, write_calibration
 from tactile_loc.sensors.calibration.frames import PressImage
+from tactile_loc.sensors.calibration.outcome import calibrate
 from tactile_loc.sensors.calibration.presses import read_presses
 from tactile_loc.sensors.calibration.unlabelled import find_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
-from tactile_loc.sensors.reading.estimator import CalibrationProblem, EstimatorRecipe
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.markers import UntouchedGel, continue_values, find_dots, mark_dots, match_dots
 
 PX = 160
@@ -209,11 +209,10 @@ def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
     folder, balls, places = dotted
     presses = read_presses(folder, balls.geometry)
     recipe = EstimatorRecipe("photometric", TINY)
-    plain = calibrate(CalibrationProblem(balls.geometry, balls.background, balls), recipe)
-    made = calibrate(CalibrationProblem(presses.geometry, presses.background, presses), recipe)
-    record = {**made.record(), "dots": presses.gel.record(PITCH_M)}
-    write_calibration(tmp_path / "sensor", presses.geometry, presses.gel.image, made.estimator, record)
-    known = read_calibration(tmp_path / "sensor")
+    plain = calibrate(balls, recipe)
+    made = calibrate(presses, recipe)
+    record = {**made.record, **presses.record()}
+    known = read_calibration(write_calibration(tmp_path / "sensor", made.estimator, presses.gel.image, record))
     assert len(known.gel.dots) == json.loads((tmp_path / "sensor" / "calibration.json").read_text())["dots"]["count"]
     ball = ball_indentation(GEOMETRY, 1e-3, -1e-3, 0.6e-3)
     touch = photographed(ball[None], GEOMETRY)[0]

@@ -141,7 +141,7 @@ class CalibrationTab:
     def _show_made(self, made: MadeSensor) -> None:
         lines = [(line,) for line in made.describe()]
         self.facts.fill("**{}** is calibrated.\n\n", made.folder.name, row="- {}\n", rows=lines)
-        circles = 0 if made.labels is None else len(made.labels.found.presses)
+        circles = 0 if made.labelled.found is None else len(made.labelled.found.presses)
         for slider, count in ((self.circle_of, circles), (self.reading_of, len(made.outcome.held_out))):
             slider.max, slider.value, slider.visible = max(count, 2), 1, count > 1
         self.circle.visible = circles > 0
@@ -151,10 +151,10 @@ class CalibrationTab:
         self._show_reading()
 
     def _show_circle(self) -> None:
-        labels = self._require_made().labels
-        if labels is not None:
-            number = min(int(self.circle_of.value), len(labels.found.presses)) - 1
-            self.circle.image = render_figure(draw_circle(labels.found, number))
+        found = self._require_made().labelled.found
+        if found is not None:
+            number = min(int(self.circle_of.value), len(found.presses)) - 1
+            self.circle.image = render_figure(draw_circle(found, number))
 
     def _show_reading(self) -> None:
         outcome = self._require_made().outcome

@@ -1,0 +1,128 @@
+"""The table `presses.csv` of a folder of presses, and the sensor file beside it: see docs/sensor-labels.md."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.io.csv_tables import read_table, require_columns
+from tactile_loc.io.toml import format_toml
+from tactile_loc.sensors.calibration.labels import STEEPEST
+from tactile_loc.store.files import write_atomically
+
+TABLE, SENSOR = "presses.csv", "sensor.toml"
+KINDS = {
+    "background": (),
+    "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
+    "mesh": ("mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm"),
+}
+DEEPEST_MM = 1.5  # assumed maximal depth of a sensor of which only the scale is known
+Circles = Iterable[tuple[str, tuple[float, float, float] | None]]  # an image's name and circle (x, y, radius), px
+
+
+@dataclass(frozen=True, eq=False)
+class PressRow:
+    """A row in a `line` of a `table`. `values` maps columns to their texts."""
+
+    table: Path
+    line: int
+    values: Mapping[str, str]
+
+    @property
+    def where(self) -> str:
+        """The table and the line, for messages."""
+        return f"{self.table}, line {self.line}"
+
+    @property
+    def kind(self) -> str:
+        """A key of KINDS."""
+        return self.values["kind"]
+
+    @property
+    def image(self) -> Path:
+        """The path of the image."""
+        return self.table.parent / self.values["image"]
+
+    @property
+    def mesh(self) -> Path:
+        """The path of the pressed mesh. Raises CalibrationError when the row names no mesh."""
+        if not self.values.get("mesh"):
+            raise CalibrationError("mesh is missing; a mesh press needs the path of its mesh, relative to the table")
+        return self.table.parent / self.values["mesh"]
+
+    def read_number(self, column: str) -> float:
+        """Return the number in a column. Raises CalibrationError when it is missing or not finite."""
+        text = self.values.get(column, "")
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            fault = f"{text!r}" if text else "missing"
+            raise CalibrationError(f"{self.where}: {column} is {fault}; a {self.kind} press needs a number")
+        return value
+
+
+def read_rows(table: Path) -> list[PressRow]:
+    """Read a table of presses.
+
+    Raises CalibrationError when there is no table, when it cannot be read, or when a row has no image or a wrong kind.
+    """
+    if not table.exists():
+        raise CalibrationError(f"there is no table {table}; give a folder with images of presses and this table")
+    found = read_table(table, "press", CalibrationError)
+    advice = "; it needs image, kind, and the columns of the kind (docs/sensor-labels.md)"
+    require_columns(table, found.columns, ("image", "kind"), CalibrationError, advice)
+    rows = [PressRow(table, line, values) for line, values in zip(found.lines, found.rows, strict=True)]
+    for row in rows:
+        image, kind = row.values["image"], row.kind
+        if not image:
+            raise CalibrationError(f"{row.where}: image is missing; give the path of a picture, relative to the table")
+        if kind not in KINDS:
+            fault = f"there is no kind {kind!r}" if kind else f"{image} has no kind"
+            raise CalibrationError(f"{row.where}: {fault}; give one of {', '.join(KINDS)}")
+    return rows
+
+
+def list_named_files(table: Path) -> set[str]:
+    """Return the paths of the images and meshes in a table, as it names them. Raises CalibrationError if unreadable."""
+    rows = read_rows(table)
+    return {row.values["image"] for row in rows} | {row.values.get("mesh") or "" for row in rows} - {""}
+
+
+def write_table(table: Path, circles: Circles, ball_radius_mm: float, mm_per_px: float) -> Path:
+    """Write a table of images and return its path.
+
+    Each row has an image's name and the ball's circle (x, y, radius), pixels, or None for the untouched gel. The image
+    scale is approximate, so a circle may be larger than the ball. Such a circle is reduced to the largest possible
+    circle. Raises OutputError when the file cannot be written.
+    """
+    largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
+    lines: list[tuple[object, ...]] = [("image", "kind", *KINDS["ball"])]
+    for image, circle in circles:
+        if circle is None:
+            lines.append((image, "background"))
+        else:
+            lines.append((image, "ball", circle[0], circle[1], min(circle[2], largest), ball_radius_mm))
+
+    def write(path: Path) -> None:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(lines)
+
+    return write_atomically(table, write)
+
+
+def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
+    """Write `sensor.toml` for images of a shape (rows, columns) and a scale, with the maximal depth DEEPEST_MM.
+
+    Return the path of `sensor.toml`.
+    """
+    scale = {"mm_per_px": float(mm_per_px), "max_depth_mm": DEEPEST_MM}
+    path = folder / SENSOR
+    path.write_text(format_toml({"camera": "orthographic", "image_size_px": shape[::-1], **scale}), encoding="utf-8")
+    return path
