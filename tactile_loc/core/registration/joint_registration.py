@@ -79,7 +79,9 @@ class JointRegistration:
         """
         if not len(T_first_object):
             return []
-        found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY, prior)
+        found = self._register(
+            self._pose_problem(views), T_first_object, self.list_scales_mm(self.options.iterations), FINELY, prior
+        )
         after = _explain(views, found.T_first_object)
         before = np.ones_like(after)
         doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly the whole touch cannot be worse than before
@@ -91,7 +93,7 @@ class JointRegistration:
             settled = bool(good[k] and found.registered.moved[k] < SETTLED_MM and contact > 0)
             pose = RefinedPose(T, float(contact), settled, self.options.iterations, imprint_iou=float(imprint))
             results.append(pose)
-        return found.add_to(results, np.flatnonzero(good))
+        return found.add_to(results, good)
 
     def register_coarsely(
         self,
@@ -110,10 +112,10 @@ class JointRegistration:
         """
         problem, scales_mm = self._pose_problem(views, cell_m), self.list_scales_mm(self.options.iterations)
         if kept is not None and kept < len(T_first_object):
-            early = self._solve(problem, T_first_object, scales_mm[:EARLY], prior=prior)
+            early = self._register(problem, T_first_object, scales_mm[:EARLY], prior=prior)
             T_first_object = early.T_first_object[np.argsort(early.registered.misfit, kind="stable")[:kept]]
             scales_mm = scales_mm[EARLY:]
-        return self._solve(problem, T_first_object, scales_mm, prior=prior).T_first_object
+        return self._register(problem, T_first_object, scales_mm, prior=prior).T_first_object
 
     def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
         """Register poses (K, 4, 4), metres, that are almost right; return the new poses and their covariances.
@@ -121,7 +123,9 @@ class JointRegistration:
         Use this method in control loops. Nothing is rendered, so a new pose can be worse than before. A covariance
         (6, 6) is as in RefinedPose. It is None if the touches give no information about the pose.
         """
-        found = self._register(views, T_first_object, self.list_scales_mm(self.options.iterations), FINELY)
+        found = self._register(
+            self._pose_problem(views), T_first_object, self.list_scales_mm(self.options.iterations), FINELY
+        )
         return found.T_first_object, found.compute_covariances()
 
     def step(self, views: Sequence[View], T_first_object: Poses, scale_mm: float) -> tuple[Poses, Covariances]:
@@ -130,8 +134,8 @@ class JointRegistration:
         Use this method in a larger optimization problem, which needs the touches' equations at a pose. `scale_mm` is
         the scale of the robust weights, mm. Covariances are as for `follow`, but at T_first_object.
         """
-        found = self._register(views, T_first_object, np.array([scale_mm]), 1)
-        return found.T_first_object, found.compute_covariances(T=T_first_object)
+        found = self._register(self._pose_problem(views), T_first_object, np.array([scale_mm]), 1)
+        return found.T_first_object, found.compute_covariances(T_first_object)
 
     def add_covariances(self, views: Sequence[View], poses: Sequence[RefinedPose]) -> list[RefinedPose]:
         """Return poses, in the first touch's sensor frame, with their covariances given the touches.
@@ -139,8 +143,8 @@ class JointRegistration:
         Register the poses first. Their errors in the base frame are those of `RefinedPose.reported_covariance`.
         """
         T = np.stack([pose.T_sensor_object for pose in poses])
-        found = self._register(views, T, np.array([self.options.scale_end_mm]), 1)
-        own, reported = found.compute_covariances(T=T), found.compute_reported_covariances(T=T)
+        found = self._register(self._pose_problem(views), T, np.array([self.options.scale_end_mm]), 1)
+        own, reported = found.compute_covariances(T), found.compute_covariances(T, reported=True)
         return [
             dataclasses.replace(pose, covariance=one, reported_covariance=other)
             for pose, one, other in zip(poses, own, reported, strict=True)
@@ -155,14 +159,9 @@ class JointRegistration:
         return np.asarray(start * (end / start) ** np.clip(np.arange(count) / (0.5 * count), 0, 1))
 
     def _register(
-        self, views: Sequence[View], T: Poses, scales_mm: Floats, finely: int, prior: Prior | None = None
-    ) -> _Found:
-        """Register poses (K, 4, 4), metres, to touches. The last `finely` steps use all points."""
-        return self._solve(self._pose_problem(views), T, scales_mm, finely, prior)
-
-    def _solve(
         self, problem: RegistrationProblem, T: Poses, scales_mm: Floats, finely: int = 0, prior: Prior | None = None
     ) -> _Found:
+        """Register poses (K, 4, 4), metres, to touches. The last `finely` steps use all points."""
         factors = NO_FACTORS
         if prior is not None:
             factors = _scale_factors(fit_prior_factors(prior, T, problem.middle / MILLI))
@@ -204,39 +203,34 @@ class _Found:
     @cached_property
     def T_first_object(self) -> Poses:  # noqa: N802 - the field's name
         """The poses (K, 4, 4), metres, in the first sensor's frame."""
-        return _scale(self.registered.T, 1 / MILLI)
+        return _scale(self.problem.view_from_first(self.registered), 1 / MILLI)
 
-    def compute_covariances(self, some: Any = slice(None), T: Poses | None = None) -> Covariances:
-        """Return the covariances of `some` poses: see `_convert_to_covariances`.
+    def compute_covariances(self, T: Poses | None = None, reported: bool = False) -> Covariances:
+        """Return the covariances of the poses, or of the reported poses: see `_convert_to_covariances`.
 
         With T (K, 4, 4), metres, they belong to these poses instead, from which the last step began.
         """
-        information = self.problem.inform(self.registered.T_reported[some], self.registered.parts[some])
-        return _convert_to_covariances(information, self._find_levers_m(some, T))
+        at = self.T_first_object if T is None else T
+        information = self.problem.inform(self.registered, reported)
+        return _convert_to_covariances(information, at[:, :3, :3] @ (self.problem.middle / MILLI))
 
-    def compute_reported_covariances(self, some: Any = slice(None), T: Poses | None = None) -> Covariances:
-        """Return the covariances of the reported poses of `some` poses; `T` is as for `compute_covariances`."""
-        information = self.problem.inform_reported(self.registered.T_reported[some], self.registered.parts[some])
-        return _convert_to_covariances(information, self._find_levers_m(some, T))
-
-    def _find_levers_m(self, some: Any, T: Poses | None) -> Floats:
-        at = (self.T_first_object if T is None else T)[some]
-        return np.asarray(at[:, :3, :3] @ (self.problem.middle / MILLI))
-
-    def add_to(self, poses: Sequence[RefinedPose], good: NDArray[np.int64]) -> list[RefinedPose]:
-        """Return the refined poses; those with the numbers `good` get covariances and poses in other frames."""
-        results, found = list(poses), self.registered
+    def add_to(self, poses: Sequence[RefinedPose], good: NDArray[np.bool_]) -> list[RefinedPose]:
+        """Return the refined poses; those that are `good` (K,) get covariances and poses in other frames."""
+        found = self.registered
         each, reported = _scale(found.T_each, 1 / MILLI), _scale(found.T_reported, 1 / MILLI)
-        own, others = self.compute_covariances(good), self.compute_reported_covariances(good)
-        for k, one, other in zip(good, own, others, strict=True):
-            results[k] = dataclasses.replace(
-                poses[k],
-                covariance=one,
+        own, others = self.compute_covariances(), self.compute_covariances(reported=True)
+        return [
+            dataclasses.replace(
+                pose,
+                covariance=own[k],
                 T_sensors_object=each[k],
                 T_reported_object=reported[k],
-                reported_covariance=other,
+                reported_covariance=others[k],
             )
-        return results
+            if good[k]
+            else pose
+            for k, pose in enumerate(poses)
+        ]
 
 
 def _press_std_m(view: View, press_error: float) -> float:

@@ -1,18 +1,14 @@
 """The observations of touches, in the form that the joint registration uses."""
 
-# mypy: disable-error-code="no-untyped-def,no-untyped-call"
-
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.runtime.compiled import njit
 from tactile_loc.core.sensing.clouds import make_contact_cloud, make_interior_cloud, make_outline_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -21,6 +17,7 @@ MILLI = 1e3
 FEWEST_PATCHES = 3.0
 UNSEEN = 0.1  # weight of missing contact relative to contact; low, because sensors miss contact and blur edges
 Floats = NDArray[np.float64]
+_Cloud = tuple[Floats, Floats, Floats, Floats]
 
 
 class Observed(NamedTuple):
@@ -56,25 +53,6 @@ class Observed(NamedTuple):
     offsets: NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """One touch to register, in the geometry of the pressed sensor.
-
-    The object touches the gel at the contact of `shape`, and is nowhere nearer to the camera than the gel's `surface`.
-    A rigid gel touches wherever it is pressed, so both are the same.
-    """
-
-    shape: ContactShape
-    surface: ContactShape
-    geometry: SensorGeometry
-
-    @classmethod
-    def of(cls, touch: Touch, pixels: int) -> Seen:
-        """Return a touch with about `pixels` pixels on the longer side."""
-        geometry, shape = touch.thin(pixels)
-        return cls(shape, touch.thin_surface(pixels), geometry)
-
-
 def observe(
     touches: Sequence[Touch], pixels: int, points: int, noise_m: float, patch_m: float, sample_area_m2: float
 ) -> Observed:
@@ -97,7 +75,7 @@ def observe(
 class _ObservedOne(NamedTuple):
     """The observation of one touch: points, normals, weights and slack, an image, a camera and the points' middle."""
 
-    cloud: tuple[Floats, Floats, Floats, Floats]
+    cloud: _Cloud
     image: NDArray[np.float32]
     camera: Floats
     middle: Floats
@@ -107,40 +85,51 @@ class _ObservedOne(NamedTuple):
 def _observe_one(
     touch: Touch, pixels: int, points: int, noise_m: float, patch_m: float, sample_area_m2: float
 ) -> _ObservedOne:
-    """Return the observation of one touch: see `observe`."""
-    seen = Seen.of(touch, pixels)
-    cloud = _cloud_mm(seen, points, noise_m * MILLI, patch_m * MILLI)
-    camera = _camera_mm(seen, UNSEEN * sample_area_m2 / (patch_m * noise_m * MILLI) ** 2)
-    middle = cloud[0].mean(axis=0) if len(cloud[0]) else seen.geometry.gel_middle_m * MILLI  # it can have no points
-    return _ObservedOne(cloud, _image_mm(seen), camera, middle)
+    """Return the observation of one touch: see `observe`.
+
+    The object touches the gel at the contact of the thinned shape, and is nowhere nearer to the camera than the thinned
+    surface. A rigid gel touches wherever it is pressed, so both are the same.
+    """
+    geometry, shape = touch.thin(pixels)
+    surface = touch.thin_surface(pixels)
+    make_cloud = _cloud_mm if shape.depths_known else _mask_cloud_mm
+    cloud = make_cloud(shape, geometry, points, noise_m * MILLI, patch_m * MILLI)
+    # out of contact, no surface is nearer to the camera than this
+    gel_mm = np.asarray((geometry.full_penetration_m + surface.press_depth_m) * MILLI)
+    scale = 1.0 if geometry.is_pinhole else 1 / MILLI
+    rays = geometry.is_pinhole, geometry.fx * scale, geometry.fy * scale, geometry.cx, geometry.cy
+    weight = UNSEEN * sample_area_m2 / (patch_m * noise_m * MILLI) ** 2
+    camera = np.array([*rays, np.max(gel_mm), *np.multiply(geometry.rectangle, MILLI), weight])
+    middle = cloud[0].mean(axis=0) if len(cloud[0]) else geometry.gel_middle_m * MILLI  # it can have no points
+    return _ObservedOne(cloud, _image_mm(surface, geometry, gel_mm), camera, middle)
 
 
-def _cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _cloud_mm(shape: ContactShape, geometry: SensorGeometry, most: int, noise_mm: float, patch_mm: float) -> _Cloud:
     """Return evenly chosen contact points (P, 3), mm, their normals (P, 3), weights (P,), 1/mm^2, and slack (P,), mm.
 
     Points on walls have slack, because a wall lies somewhere between two pixels. All points of a patch share their
     errors, so together they have the weight of one independent point.
     """
-    if not touch.shape.depths_known:
-        return _mask_cloud_mm(touch, most, noise_mm, patch_mm)
-    points, normals = make_contact_cloud(touch.shape, touch.geometry)
-    pitch_mm = touch.geometry.pixel_pitch_m * MILLI
+    points, normals = make_contact_cloud(shape, geometry)
+    pitch_mm = geometry.pixel_pitch_m * MILLI
     slack_mm = np.full(len(points), 0.5 * pitch_mm)
-    slack_mm[: np.count_nonzero(touch.shape.contact & touch.geometry.observed_mask)] = 0.0  # walls come last
+    slack_mm[: np.count_nonzero(shape.contact & geometry.observed_mask)] = 0.0  # walls come last
     every = max(1, round(len(points) / most))
     patches = max(FEWEST_PATCHES, len(points) * (pitch_mm / patch_mm) ** 2)
     points, normals, slack_mm = points[::every] * MILLI, normals[::every], slack_mm[::every]
     return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2), slack_mm
 
 
-def _mask_cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _mask_cloud_mm(
+    shape: ContactShape, geometry: SensorGeometry, most: int, noise_mm: float, patch_mm: float
+) -> _Cloud:
     """Return what `_cloud_mm` returns, for a contact mask: up to half of the points on the outline, others inside it.
 
     The slack of points inside covers all depths of contact. The weights are those of a touch whose depths are known.
     """
-    inside, inwards, slack_m = make_interior_cloud(touch.shape, touch.geometry)
-    outline, outwards = make_outline_cloud(touch.shape, touch.geometry)
-    pitch_mm = touch.geometry.pixel_pitch_m * MILLI
+    inside, inwards, slack_m = make_interior_cloud(shape, geometry)
+    outline, outwards = make_outline_cloud(shape, geometry)
+    pitch_mm = geometry.pixel_pitch_m * MILLI
     patches = max(FEWEST_PATCHES, (len(inside) + len(outline)) * (pitch_mm / patch_mm) ** 2)
     some, few = (max(1, round(2 * len(cloud) / most)) for cloud in (outline, inside))
     points = np.concatenate([outline[::some], inside[::few]]) * MILLI
@@ -149,130 +138,32 @@ def _mask_cloud_mm(touch: Seen, most: int, noise_mm: float, patch_mm: float) -> 
     return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2), slack_mm
 
 
-def _image_mm(touch: Seen) -> NDArray[np.float32]:
-    """Return the rows of `Observed.images` for one touch, as an image (H - 1, W - 1, 4), mm."""
-    geometry = touch.geometry
-    contact = touch.surface.contact & geometry.observed_mask
-    z_m = touch.surface.depth_m + geometry.full_penetration_m
-    if touch.surface.press_slack_m:
-        z_m = z_m - touch.surface.press_slack_m * contact
-    image = np.empty((geometry.height_px - 1, geometry.width_px - 1, 4), np.float32)
-    gel_mm = np.broadcast_to(_gel_mm(touch), geometry.shape)
-    arrays = ((z_m, float), (z_m * MILLI, np.float32), (gel_mm, float), (contact, bool), (geometry.observed_mask, bool))
-    surface = tuple(np.ascontiguousarray(array, kind) for array, kind in arrays)
-    fill_image(surface, (*geometry.pixel_slopes, geometry.is_pinhole), image)
+def _image_mm(surface: ContactShape, geometry: SensorGeometry, gel_mm: Floats) -> NDArray[np.float32]:
+    """Return the rows of `Observed.images` for one touch, as an image (H - 1, W - 1, 4), mm.
+
+    `gel_mm` is the z, mm, of the undeformed gel, one number or (H, W).
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    contact = surface.contact & geometry.observed_mask
+    z_m = np.asarray(surface.depth_m + geometry.full_penetration_m, float)
+    if surface.press_slack_m:
+        z_m = z_m - surface.press_slack_m * contact
+    image = np.full((geometry.height_px - 1, geometry.width_px - 1, 4), np.inf, np.float32)
+    lowest = _find_least(np.where(contact, (z_m * MILLI).astype(np.float32), np.float32(np.inf)))
+    free = _find_least(np.broadcast_to(gel_mm, geometry.shape))
+    known = _find_least(geometry.observed_mask)
+    image[..., 0] = np.where(known, np.where(lowest < np.inf, lowest, -free), np.nan)
+    if contact.any():
+        nearest = distance_transform_edt(~contact, return_distances=False, return_indices=True)
+        rows, columns = nearest[:, :-1, :-1]
+        near_m, (x, y) = z_m[rows, columns], geometry.pixel_slopes
+        k = near_m if geometry.is_pinhole else 1.0
+        image[..., 1:] = np.stack([x[columns] * k, y[rows] * k, near_m], axis=-1) * MILLI
     return image
 
 
-def _gel_mm(touch: Seen) -> Floats:
-    """Return the z, mm, at the press depth: surface out of contact is not nearer to the camera. (H, W) if curved."""
-    return np.asarray((touch.geometry.full_penetration_m + touch.surface.press_depth_m) * MILLI)
-
-
-def _camera_mm(touch: Seen, weight: float) -> Floats:
-    """Return the row (11,) of `Observed.cameras`."""
-    geometry = touch.geometry
-    scale = 1.0 if geometry.is_pinhole else 1 / MILLI
-    gel_mm = np.max(_gel_mm(touch))
-    rays = geometry.is_pinhole, geometry.fx * scale, geometry.fy * scale, geometry.cx, geometry.cy
-    return np.array([*rays, gel_mm, *np.multiply(geometry.rectangle, MILLI), weight])
-
-
-@njit
-def fill_image(surface, rays, image):
-    """Fill `image` (H - 1, W - 1, 4) with the rows of `Observed.images`, from the surface that one touch shows.
-
-    `surface` has arrays (H, W): the surface's z in metres and in mm, the z of the gel at the press depth, mm, and masks
-    of contact and of observed pixels. `rays` has the slopes (W,) and (H,) of `SensorGeometry.pixel_slopes`, and whether
-    the camera is a pinhole.
-    """
-    z, heights, gel, contact, observed = surface
-    x_slopes, y_slopes, pinhole = rays
-    rows, columns = find_nearest(contact)
-    for row in range(image.shape[0]):
-        for column in range(image.shape[1]):
-            lowest, free, known = np.inf, np.inf, True
-            for i in (row, row + 1):
-                for j in (column, column + 1):
-                    known = known and observed[i, j]
-                    free = min(free, gel[i, j])
-                    if contact[i, j]:
-                        lowest = min(lowest, heights[i, j])
-            if not known:
-                image[row, column, 0] = np.nan
-            else:
-                image[row, column, 0] = lowest if lowest < np.inf else -free
-            i, j = rows[row, column], columns[row, column]
-            if i < 0:
-                image[row, column, 1:] = np.inf
-                continue
-            k = z[i, j] if pinhole else 1.0
-            image[row, column, 1] = x_slopes[j] * k * MILLI
-            image[row, column, 2] = y_slopes[i] * k * MILLI
-            image[row, column, 3] = z[i, j] * MILLI
-
-
-@njit
-def find_nearest(mask):
-    """Return the rows and the columns (H, W) of the pixel of a mask (H, W) that is nearest to each pixel.
-
-    Of pixels at equal distances, the one in the first column, then in the first row, is chosen. All are -1 if the mask
-    is empty. Each column is scanned first. Then the lower envelope of the columns' parabolas is found in each row
-    (Felzenszwalb and Huttenlocher, 2012).
-    """
-    height, width = mask.shape
-    near = find_nearest_in_columns(mask)
-    rows, columns = np.full((height, width), -1), np.full((height, width), -1)
-    kept = np.empty(width, np.int64)  # columns whose parabolas are in the lower envelope
-    for row in range(height):
-        count = 0
-        for column in range(width):
-            if near[row, column] < 0:
-                continue
-            while count > 1 and is_hidden(row, kept[count - 2], kept[count - 1], column, near):
-                count -= 1
-            kept[count] = column
-            count += 1
-        if count == 0:
-            continue
-        k = 0
-        for column in range(width):
-            while k + 1 < count and square(row, column, kept[k + 1], near) < square(row, column, kept[k], near):
-                k += 1
-            rows[row, column], columns[row, column] = near[row, kept[k]], kept[k]
-    return rows, columns
-
-
-@njit
-def find_nearest_in_columns(mask):
-    """Return the row (H, W) of the nearest pixel of a mask in the same column, the upper one of two; -1 if none."""
-    height, width = mask.shape
-    near = np.full((height, width), -1)
-    for row in range(height):
-        for column in range(width):
-            if mask[row, column]:
-                near[row, column] = row
-            elif row > 0:
-                near[row, column] = near[row - 1, column]
-    for row in range(height - 2, -1, -1):
-        for column in range(width):
-            above, below = near[row, column], near[row + 1, column]
-            if below >= 0 and (above < 0 or below - row < row - above):
-                near[row, column] = below
-    return near
-
-
-@njit
-def square(row, column, other, near):
-    """Return the squared distance of a pixel from the pixel of the mask in another column."""
-    return (column - other) ** 2 + (row - near[row, other]) ** 2
-
-
-@njit
-def is_hidden(row, first, middle, last, near):
-    """Return whether the parabola of column `middle` is nowhere below those of the columns before and after it."""
-    a, b = middle - first, last - middle
-    first_square = (near[row, first] - row) ** 2
-    middle_square = (near[row, middle] - row) ** 2
-    last_square = (near[row, last] - row) ** 2
-    return (a + b) * middle_square - b * first_square - a * last_square - a * b * (a + b) > 0
+def _find_least(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the least value (H - 1, W - 1) of each square of four neighbouring pixels of an image (H, W)."""
+    rows = np.minimum(values[:-1], values[1:])
+    return np.asarray(np.minimum(rows[:, :-1], rows[:, 1:]))

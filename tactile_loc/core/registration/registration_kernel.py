@@ -10,7 +10,6 @@ sensor.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -43,28 +42,6 @@ Floats = NDArray[np.float64]
 NO_FACTORS = PriorFactors(np.empty((0, 4, 4)), np.empty((0, 6, 6)))
 
 
-class Moving(NamedTuple):
-    """K poses while they are moved: the arrays of `RegisteredPoses`, of which `T` is not corrected."""
-
-    T: Floats
-    T_each: Floats
-    moved: Floats
-    misfit: Floats
-    parts: Floats
-
-
-class Touched(NamedTuple):
-    """A `RegistrationProblem` for compiled functions. `spread` is the sum of its `sensor` and `press`."""
-
-    observed: Observed
-    triangles: NearestTriangles
-    samples: Blocks
-    middle: Floats
-    T_sensor_first: Floats
-    spread: Floats
-    noise: float
-
-
 class Schedule(NamedTuple):
     """The steps of a registration.
 
@@ -78,25 +55,23 @@ class Schedule(NamedTuple):
 
 
 class RegisteredPoses(NamedTuple):
-    """The registered poses of an object.
+    """K registered poses of an object, given N touches.
 
-    `T` (K, 4, 4) are its poses in the first sensor's frame. `T_each` (K, N, 4, 4) are its poses in the frame of each
-    touch's sensor, as this touch shows them. `T_reported` (K, 4, 4) are its poses relative to the reported pose of the
-    first sensor, which has an error. `moved` (K,) is the length of the last step, mm. The other arrays are from before
-    this step: `misfit` (K,), mm^2, states how badly the poses explain the touches, and `parts` (K, 2, 6, 6) are the
-    information about twists from the first touch and from all others.
+    `T_reported` (K, 4, 4) are its poses relative to the reported pose of the first sensor, which has an error. `T_each`
+    (K, N, 4, 4) are its poses in the frame of each touch's sensor, as this touch shows them. `moved` (K,) is the length
+    of the last step, mm. The other arrays are from before this step: `misfit` (K,), mm^2, states how badly the poses
+    explain the touches, and `parts` (K, 2, 6, 6) are the information about twists from the first touch and from all
+    others.
     """
 
-    T: Floats
-    T_each: Floats
     T_reported: Floats
+    T_each: Floats
     moved: Floats
     misfit: Floats
     parts: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class RegistrationProblem:
+class RegistrationProblem(NamedTuple):
     """A registration problem: `observed`, the observations of N touches, and the touched object.
 
     The object has `triangles`, `samples` of its surface and a centre `middle` (3,). `T_sensor_first` (N, 4, 4) converts
@@ -120,79 +95,65 @@ class RegistrationProblem:
 
         `factors` (K), with lengths in mm, are those of a prior. They refer to twists of the object from a peak.
         """
-        T, count = np.array(T), len(T)
-        parts, moved, misfit = np.zeros((count, 2, 6, 6)), np.full(count, np.inf), np.full(count, np.inf)
-        moving = Moving(T, self.T_sensor_first @ T[:, None], moved, misfit, parts)
-        spread = self.sensor + self.press
-        middle, T_sensor_first = self.middle, self.T_sensor_first
-        touched = Touched(self.observed, self.triangles, self.samples, middle, T_sensor_first, spread, self.noise)
+        count, never = len(T), np.full((2, len(T)), np.inf)
+        found = RegisteredPoses(np.array(T), self.T_sensor_first @ T[:, None], *never, np.zeros((count, 2, 6, 6)))
         steps = len(schedule.scales) + schedule.finely * (schedule.stride - 1)
-        for some in split_into_turns(count, A_TURN / (steps * len(T_sensor_first))):
-            part, near = Moving(*(array[some] for array in moving)), PriorFactors(*(array[some] for array in factors))
-            run_in_threads(register_poses, len(part.T), part, touched, schedule, near)
-        return RegisteredPoses(self._view_from_first(T, moving.T_each[:, 0]), moving.T_each, T, moved, misfit, parts)
+        for some in split_into_turns(count, A_TURN / (steps * len(self.T_sensor_first))):
+            part, near = RegisteredPoses(*(of[some] for of in found)), PriorFactors(*(of[some] for of in factors))
+            run_in_threads(register_poses, len(part.T_reported), part, self, self.sensor + self.press, schedule, near)
+        return found
 
-    def inform(self, T: Floats, parts: Floats) -> Floats:
-        """Return the information (K, 6, 6) about twists of `RegisteredPoses.T`.
+    def inform(self, found: RegisteredPoses, reported: bool = False) -> Floats:
+        """Return the information (K, 6, 6) about twists of poses in the first sensor's frame, along its axes.
 
-        T (K, 4, 4) are the poses `RegisteredPoses.T_reported`, and `parts` (K, 2, 6, 6) their information.
+        If `reported`, the twists are those of the poses relative to the reported pose of the first sensor. The parts of
+        the information are reduced by errors, which are twists about the first touch's centre. The object's pose in the
+        first sensor's frame is seen by the first touch with the error of its press depth, and by the others with the
+        error of the first sensor's pose. The object's pose relative to the reported pose of the first sensor is seen by
+        the first touch with both errors, and by the others with none of them.
         """
-        return self._marginalise_first(parts, T, self.press[0], self.sensor[0])
-
-    def inform_reported(self, T: Floats, parts: Floats) -> Floats:
-        """Return the information (K, 6, 6) about `RegisteredPoses.T_reported`, given what `inform` is given."""
-        return self._marginalise_first(parts, T, self.press[0] + self.sensor[0], np.zeros(6))
-
-    def _marginalise_first(self, parts: Floats, T: Floats, own: Floats, others: Floats) -> Floats:
-        """Return the information (K, 6, 6) about a twist of the object, along the axes of the first sensor.
-
-        `parts` (K, 2, 6, 6) is the information from the first touch and from all other touches. They are reduced by
-        errors with the variances `own` (6,) and `others` (6,), which are twists about the first touch's centre.
-
-        The object's pose in the first sensor's frame is seen by the first touch with the error of its press depth, and
-        by the others with the error of the first sensor's pose. The object's pose relative to the reported pose of the
-        first sensor is seen by the first touch with both errors, and by the others with none of them.
-        """
-        back = invert(self.T_sensor_first[0])
+        press, sensor = self.press[0], self.sensor[0]
+        errors = np.stack([press + sensor, np.zeros(6)] if reported else [press, sensor])
+        back, T, parts = invert(self.T_sensor_first[0]), found.T_reported, found.parts
         touched = back[:3, :3] @ self.observed.centres[0] + back[:3, 3]
         to_centre = adjoint(back[:3, :3], T[:, :3, :3] @ self.middle + T[:, :3, 3] - touched)[:, None]
-        allowed = np.stack([own, others])[:, None, :] * to_centre @ to_centre.swapaxes(-1, -2)
+        allowed = errors[:, None, :] * to_centre @ to_centre.swapaxes(-1, -2)
         total = np.linalg.solve(np.eye(6) + parts @ allowed, parts).sum(axis=1)
         return np.asarray((total + total.swapaxes(1, 2)) / 2)
 
-    def _view_from_first(self, T: Floats, seen: Floats) -> Floats:
-        """Correct poses T (K, 4, 4) by the error of the first sensor's pose, but not by the error of its press depth.
+    def view_from_first(self, found: RegisteredPoses) -> Floats:
+        """Return the poses (K, 4, 4) in the first sensor's frame.
 
-        T is relative to the reported pose of the first sensor. `seen` (K, 4, 4) are the poses that the first touch
-        shows, in the frame of its sensor. The difference is the sum of both errors, and is divided between them in
-        proportion to their variances. If the touch of the first sensor is left out, the first other touch counts.
+        They are corrected by the error of the first sensor's pose, but not by the error of its press depth. The first
+        touch shows the sum of both errors, which is divided in proportion to their variances. If the touch of the first
+        sensor is left out, the first other touch counts.
         """
+        T, allowed = found.T_reported, self.sensor[0] + self.press[0]
         if not self.sensor[0].any():
             return T
-        allowed = self.sensor[0] + self.press[0]
         share = np.divide(self.sensor[0], allowed, out=np.zeros(6), where=allowed > 0)
         centre, here = self.observed.centres[0], self.T_sensor_first[0]
         reported = here @ T
-        corrected = exponential(share * logarithm(seen @ invert(reported), centre), centre) @ reported
+        corrected = exponential(share * logarithm(found.T_each[:, 0] @ invert(reported), centre), centre) @ reported
         return np.asarray(invert(here) @ corrected)
 
 
 @njit(fast=True)
-def register_poses(first, last, moving, problem, schedule, factors):
-    """Move the object's poses of `moving`, a `Moving`, from first to last, as `RegistrationProblem.register` describes.
+def register_poses(first, last, moving, problem, spread, schedule, factors):
+    """Move the `RegisteredPoses` `moving` from first to last, as `RegistrationProblem.register` describes.
 
-    `problem` is a `Touched`, and `schedule` a `Schedule`. `factors` (K) are those of a prior, or empty. `moving.parts`
-    and `moving.misfit` are from before the last step: see `build_equations`.
+    `spread` (N, 6) are the variances of each touch's twist. `factors` (K) are those of a prior, or empty. For the
+    misfit, see `build_equations`.
     """
     count, known = moving.T_each.shape[1], len(factors.T) > 0
     A, b, H, g = np.empty((count, 6, 6)), np.empty((count, 6)), np.empty((6, 6)), np.empty((6, 1))
     scales, equations = schedule.scales, (A, b, H, g)
     # each access to a part of a tuple counts references of all arrays in it, so this is not done in the loop
     observed, triangles, samples, noise = problem.observed, problem.triangles, problem.samples, problem.noise
-    frames = problem.T_sensor_first, observed.centres, problem.middle, problem.spread
+    frames = problem.T_sensor_first, observed.centres, problem.middle, spread
     peaks, information = factors.T, factors.information
     for k in range(first, last):
-        T, T_each = moving.T[k], moving.T_each[k]
+        T, T_each = moving.T_reported[k], moving.T_each[k]
         every = schedule.stride
         damping = DAMPING_WITH_PRIOR if known and information[k].any() else DAMPING
         for number in range(len(scales)):

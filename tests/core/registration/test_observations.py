@@ -4,27 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import distance_transform_edt
 
-from tactile_loc.core.registration.observations import MILLI, find_nearest, observe
+from tactile_loc.core.registration.observations import MILLI, observe
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 
 CAMERA = SensorGeometry("pinhole", 31, 23, 60.0, 58.0, 15.5, 11.5, 0.02, 0.002)
-
-
-@pytest.mark.parametrize("share", [0.003, 0.05, 0.5])
-def test_the_nearest_pixel_is_that_of_scipy(share):
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        mask = rng.random(rng.integers(1, 40, 2)) < share
-        mask[tuple(rng.integers(mask.shape))] = True
-        rows, columns = distance_transform_edt(~mask, return_distances=False, return_indices=True)
-        np.testing.assert_array_equal(find_nearest(mask), (rows, columns))
-
-
-def test_without_pixels_nothing_is_nearest():
-    assert (np.array(find_nearest(np.zeros((3, 4), bool))) == -1).all()
 
 
 def test_a_square_shows_its_least_contact_or_the_gel_and_the_nearest_contact():
@@ -39,3 +24,11 @@ def test_a_square_shows_its_least_contact_or_the_gel_and_the_nearest_contact():
     assert image[3, 20, 0] == pytest.approx(-MILLI * touch.geometry.surface_m, abs=1e-5), "the gel, negated"
     np.testing.assert_allclose(image[11, 6, 1:], points_mm[11, 6], atol=1e-5)
     np.testing.assert_allclose(image[2, 20, 1:], points_mm[10, 8], atol=1e-5, err_msg="the nearest corner")
+
+
+def test_nothing_is_nearest_if_thinning_leaves_no_contact():
+    depth_m = np.full(CAMERA.shape, 0.001, np.float32)
+    depth_m[11, 11] = 0
+    images = observe([Touch(ContactShape(depth_m, 0.001), CAMERA)], 15, 100, 3e-5, 1e-3, 1e-6).images
+    assert np.isinf(images[:, 1:]).all()
+    assert (images[:, 0] < 0).all()
