@@ -95,8 +95,9 @@ class RegistrationProblem(NamedTuple):
 
         `factors` (K), with lengths in mm, are those of a prior. They refer to twists of the object from a peak.
         """
-        count, never = len(T), np.full((2, len(T)), np.inf)
-        found = RegisteredPoses(np.array(T), self.T_sensor_first @ T[:, None], *never, np.zeros((count, 2, 6, 6)))
+        count = len(T)
+        moved, misfit, parts = np.full(count, np.inf), np.full(count, np.inf), np.zeros((count, 2, 6, 6))
+        found = RegisteredPoses(np.array(T), self.T_sensor_first @ T[:, None], moved, misfit, parts)
         steps = len(schedule.scales) + schedule.finely * (schedule.stride - 1)
         for some in split_into_turns(count, A_TURN / (steps * len(self.T_sensor_first))):
             part, near = RegisteredPoses(*(of[some] for of in found)), PriorFactors(*(of[some] for of in factors))
