@@ -18,7 +18,8 @@ import typer
 from pydantic import ValidationError
 
 from tactile_loc.core.runtime.errors import TactileLocError, quote
-from tactile_loc.slots.registry import explain_allowed, registry
+from tactile_loc.slots.options import explain_allowed
+from tactile_loc.slots.registry import registry
 from tactile_loc_cli.console import complain, is_shown, say_json, write_flags
 
 UNEXPECTED, USAGE_ERROR, NOT_AS_REQUIRED, INTERRUPTED = 1, 2, 3, 130

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from tactile_loc.core.runtime.errors import MissingLibraryError, PluginLoadError, TactileLocError
-from tactile_loc.slots.registry import BUILT_IN, COMMAND, CommandSpec, Offer, registry
+from tactile_loc.slots.registry import BUILT_IN, COMMAND, Offer, import_target, registry
 from tactile_loc_cli import ANNEXES
 from tactile_loc_cli.command import Quiet, Verbose, build_command, build_failing_command, make_typer
 from tactile_loc_cli.failures import INTERRUPTED, TO_BE_RESUMED, USAGE_ERROR, UsageError, describe_usage_error, tell
@@ -42,15 +42,15 @@ class OfferedCommands(Mapping[str, Any]):
         try:
             if name not in registry().names(COMMAND):
                 _report_missing(name)
-            return _load_command(registry().find_command(name))
+            return _load_command(registry().find(COMMAND, name))
         except TactileLocError as error:
             return build_failing_command(name, error)
 
 
 @cache
-def _load_command(found: Offer[CommandSpec]) -> Any:
+def _load_command(found: Offer) -> Any:
     """Import a command, and return its parser. Raises PluginLoadError or MissingLibraryError."""
-    return build_command(found.spec, registry().load_command(found))
+    return build_command(found.spec, import_target(found))
 
 
 def _report_missing(name: str) -> NoReturn:

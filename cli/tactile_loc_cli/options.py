@@ -22,7 +22,8 @@ from tactile_loc.core.runtime.errors import (
     name_source,
     quote,
 )
-from tactile_loc.slots.registry import SLOTS, registry, validate_options
+from tactile_loc.slots.options import validate_options
+from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc_cli import KINDS_OF_ANNEXES
 from tactile_loc_cli.console import complain, is_shown, make_progress
 

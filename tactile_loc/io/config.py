@@ -17,7 +17,8 @@ from tactile_loc.core.sensing.noise import NoiseLevel
 from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, TrackerOptions
 from tactile_loc.io.toml import parse_value, read_toml, scale
-from tactile_loc.slots.registry import SLOTS, registry, validate_options
+from tactile_loc.slots.options import validate_options
+from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc.store.files import recover_folder
 
 COMMAND_LINE = "the command line"  # the source of a configuration without a file

@@ -12,27 +12,24 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar
 
 import pluggy
-from pydantic import ValidationError
 
 from tactile_loc.core.runtime.errors import (
-    ConfigError,
     MissingLibraryError,
     PluginConflictError,
     PluginLoadError,
     UnknownPluginError,
     advise_choice,
-    did_you_mean,
-    quote,
 )
 from tactile_loc.slots.interface import INTERFACE_VERSION, explain_version, require_interface
+from tactile_loc.slots.options import validate_options
 
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
@@ -115,14 +112,11 @@ BUILT_IN = "tactile-loc"
 ADDED = "this program"  # stands for the distribution of components that a program adds
 
 
-Spec = TypeVar("Spec", ComponentSpec, CommandSpec)
-
-
 @dataclass(frozen=True)
-class Offer(Generic[Spec]):
-    """A component or a command that a distribution offers."""
+class Offer:
+    """A component or a command that a distribution offers: its ComponentSpec or CommandSpec."""
 
-    spec: Spec
+    spec: Any
     distribution: str
 
 
@@ -136,27 +130,37 @@ class LoadFailure:
 
 
 class Registry:
-    """All components and commands found.
+    """All components and commands found: `offers`, in the order found.
 
-    A plugin that fails to load is kept as a failure and does not affect the others.
+    A plugin that fails to load is kept as a failure and does not affect the others. `kinds` are the slots, and the
+    kinds of components that packages define.
     """
 
     def __init__(self, plugins: Iterable[EntryPoint]) -> None:
-        self.components: list[Offer[ComponentSpec]] = []
-        self.commands: list[Offer[CommandSpec]] = []
+        self.offers: list[Offer] = []
         self.failures: list[LoadFailure] = []
         self.kinds: dict[str, ComponentKind | None] = dict.fromkeys(SLOTS)  # slots have no ComponentKind
         self._classes: dict[ComponentSpec, Any] = {}
-        offers: list[tuple[str, str, list[ComponentSpec]]] = []
+        offered: list[tuple[str, str, list[Any]]] = []
         for plugin in plugins:
             distribution = _name_distribution(plugin)  # once for each plugin, because this reads a file
             with self._keep_failure(plugin.name, distribution):
-                offers.append((plugin.name, distribution, self._load(plugin, distribution)))
-        for name, distribution, components in offers:  # a component may be of a kind that a later plugin defines
+                offered.append((plugin.name, distribution, self._load_plugin(plugin)))
+        for name, distribution, specs in offered:  # a component may be of a kind that a later plugin defines
             with self._keep_failure(name, distribution):
-                for component in components:
-                    self._require_component_spec(component)
-                self.components += [Offer(spec, distribution) for spec in components]
+                for spec in specs:
+                    self._require_spec(spec)
+                self.offers += [Offer(spec, distribution) for spec in specs]
+
+    @property
+    def components(self) -> list[Offer]:
+        """The components, in the order found."""
+        return [offer for offer in self.offers if offer.spec.slot != COMMAND]
+
+    @property
+    def commands(self) -> list[Offer]:
+        """The commands, in the order found."""
+        return [offer for offer in self.offers if offer.spec.slot == COMMAND]
 
     @contextmanager
     def _keep_failure(self, plugin: str, distribution: str) -> Iterator[None]:
@@ -167,28 +171,28 @@ class Registry:
             reason = f"{type(error).__name__}: {error}"
             self.failures.append(LoadFailure(plugin, distribution, reason))
 
-    def _load(self, plugin: EntryPoint, distribution: str) -> list[ComponentSpec]:
-        """Import a plugin, add the kinds and commands that it defines, and return the components that it offers."""
+    def _load_plugin(self, plugin: EntryPoint) -> list[Any]:
+        """Import a plugin, add the kinds that it defines, and return the specs that it offers."""
         manager = pluggy.PluginManager(PROJECT)
         manager.add_hookspecs(sys.modules[__name__])
         manager.register(plugin.load())
         manager.check_pending()
-        components = [spec for offered in manager.hook.tactile_loc_components() for spec in offered]
-        commands = [spec for offered in manager.hook.register_commands() for spec in offered]
+        hooks = (manager.hook.tactile_loc_components, manager.hook.register_commands)
+        specs = [spec for hook in hooks for several in hook() for spec in several]
         kinds = {kind.name: kind for defined in manager.hook.register_kinds() for kind in defined}
-        if not components and not commands and not kinds:
+        if not specs and not kinds:
             raise TypeError("offers no component and no command: its hooks are missing or return nothing")
-        for command in commands:
-            _require_command_spec(command)
         self.kinds |= kinds
-        self.commands += [Offer(spec, distribution) for spec in commands]
-        return components
+        return specs
 
-    def _require_component_spec(self, spec: Any) -> None:
-        """Raise TypeError unless this is the spec of a component of a known kind."""
-        if not isinstance(spec, ComponentSpec) or spec.slot not in self.kinds or spec.slot == COMMAND:
+    def _require_spec(self, spec: Any) -> None:
+        """Raise TypeError unless this is the spec of a command, or of a component of a known kind."""
+        if isinstance(spec, CommandSpec):
+            if not KEBAB_CASE.fullmatch(spec.name):
+                raise TypeError(f"offers {spec!r}; the name of a command is lower-case words with hyphens")
+        elif not isinstance(spec, ComponentSpec) or spec.slot not in self.kinds or spec.slot == COMMAND:
             raise TypeError(f"offers {spec!r}; the slots are {', '.join(self.kinds)}")
-        if not isinstance(spec.interface, int) or spec.interface < 1:
+        elif not isinstance(spec.interface, int) or spec.interface < 1:
             raise TypeError(f"offers {spec!r}; its interface must be a whole number, 1 or more")
 
     def add(self, kind: type[Any], name: str, summary: str = "") -> None:
@@ -202,38 +206,26 @@ class Registry:
         slot = getattr(kind, "slot", "")
         try:
             _require_component(kind, slot)
-            require_interface(kind, slot)
         except TypeError as error:
             raise PluginLoadError(f"the component {name!r} cannot be added: {error}") from error
-        others = [c for c in self.components if (c.spec.slot, c.spec.name, c.distribution) != (slot, name, ADDED)]
-        if taken := [c for c in others if (c.spec.slot, c.spec.name) == (slot, name)]:
-            raise PluginConflictError(
-                f"{taken[0].distribution} offers the {slot} {name!r} already; choose another name"
-            )
         target = f"{kind.__module__}:{kind.__qualname__}"
         spec = ComponentSpec(slot, name, target, summary, interface=INTERFACE_VERSION)
-        self.components = [*others, Offer(spec, ADDED)]
+        for taken in self._list_named(slot, name):
+            if taken.distribution != ADDED:
+                raise PluginConflictError(
+                    f"{taken.distribution} offers the {slot} {name!r} already; choose another name"
+                )
+            self.offers.remove(taken)
+        self.offers.append(Offer(spec, ADDED))
         self._classes[spec] = kind
-
-    @property
-    def offers(self) -> list[Offer[Any]]:
-        """All components and commands, in the order found."""
-        return [*self.components, *self.commands]
 
     def names(self, slot: str) -> list[str]:
         """Return the names of a slot's components, or of the commands, in the order found."""
-        return list(dict.fromkeys(c.spec.name for c in self.offers if c.spec.slot == slot))
+        return list(dict.fromkeys(offer.spec.name for offer in self.offers if offer.spec.slot == slot))
 
-    def find(self, slot: str, name: str) -> Offer[ComponentSpec]:
-        """Return the component with this slot and name. Raises UnknownPluginError or PluginConflictError."""
-        return self._choose([c for c in self.components if (c.spec.slot, c.spec.name) == (slot, name)], slot, name)
-
-    def find_command(self, name: str) -> Offer[CommandSpec]:
-        """Return the command with this name. Raises UnknownPluginError or PluginConflictError."""
-        return self._choose([c for c in self.commands if c.spec.name == name], COMMAND, name)
-
-    def _choose(self, found: Sequence[Offer[Spec]], slot: str, name: str) -> Offer[Spec]:
-        """Return the only one that was found. Raises UnknownPluginError or PluginConflictError."""
+    def find(self, slot: str, name: str) -> Offer:
+        """Return the component, or the command, with this name. Raises UnknownPluginError or PluginConflictError."""
+        found = self._list_named(slot, name)
         if not found:
             raise UnknownPluginError(self._describe_unknown(slot, name))
         if len(found) > 1:
@@ -242,6 +234,9 @@ class Registry:
                 "uninstall one, or choose with TACTILE_LOC_PLUGINS"
             )
         return found[0]
+
+    def _list_named(self, slot: str, name: str) -> list[Offer]:
+        return [offer for offer in self.offers if (offer.spec.slot, offer.spec.name) == (slot, name)]
 
     def _describe_unknown(self, slot: str, name: str) -> str:
         if slot not in self.kinds:
@@ -256,24 +251,9 @@ class Registry:
         if reason := explain_version(found.spec.interface, found.distribution):
             raise PluginLoadError(f"the {slot} {name!r} of {found.distribution} {reason}")
         if found.spec not in self._classes:
-            self._classes[found.spec] = self._import_component(found)
-        return self._classes[found.spec]
-
-    def _import_component(self, found: Offer[ComponentSpec]) -> Any:
-        slot = found.spec.slot
-
-        def require(kind: Any) -> None:
-            _require_component(kind, slot)
-            require_interface(kind, slot)
-
-        return _import_target(found, require)
-
-    def load_command(self, found: Offer[CommandSpec]) -> Any:
-        """Import and return a command's function or typer application.
-
-        Raises PluginLoadError or MissingLibraryError.
-        """
-        return _import_target(found, _require_command)
+            self._classes[found.spec] = import_target(found)
+        kind: type[Any] = self._classes[found.spec]
+        return kind
 
     def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
         """Return a component with validated options. Raises ConfigError for unknown or invalid options."""
@@ -281,120 +261,44 @@ class Registry:
         return kind(validate_options(kind.Options, options or {}, f"the {slot} {name!r}"))
 
 
-def _import_target(found: Offer[Any], require: Callable[[Any], None]) -> Any:
-    """Import and return the target of a spec, which `require` checks.
+def import_target(found: Offer) -> Any:
+    """Import and return the class of a component, or the function or typer application of a command.
 
     Raises PluginLoadError or MissingLibraryError.
     """
-    what = f"the {found.spec.slot} {found.spec.name!r}"
+    what = f"{found.spec.slot} {found.spec.name!r}"
     module, _, attribute = found.spec.target.partition(":")
     try:
         target = getattr(importlib.import_module(module), attribute)
-        require(target)
-        logger.debug("T%s is %s of %s.", what[1:], found.spec.target, found.distribution)
+        if found.spec.slot != COMMAND:
+            _require_component(target, found.spec.slot)
+        elif not (inspect.isfunction(target) or hasattr(target, "registered_commands")):
+            raise TypeError(f"{target!r} is not a function or a typer application")
+        logger.debug("The %s is %s of %s.", what, found.spec.target, found.distribution)
         return target
     except Exception as error:
-        if isinstance(error, ModuleNotFoundError) and not _is_part_of(error.name, module):
-            library = shlex.quote(found.spec.requires or error.name or "")
+        missing = error.name or "" if isinstance(error, ModuleNotFoundError) else ""
+        if missing and not missing.startswith(f"{module.partition('.')[0]}."):  # the package itself is complete
+            library = shlex.quote(found.spec.requires or missing)
             raise MissingLibraryError(
-                f"{what} needs {error.name}, which is not installed: pip install {library}"
+                f"the {what} needs {missing}, which is not installed: pip install {library}"
             ) from error
         alternative = "component" if isinstance(found.spec, ComponentSpec) else "command"
         raise PluginLoadError(
-            f"{what} of {found.distribution} failed on import ({type(error).__name__}: {error}); "
+            f"the {what} of {found.distribution} failed on import ({type(error).__name__}: {error}); "
             f"update or uninstall that package, or choose another {alternative}"
         ) from error
 
 
-def _require_command_spec(spec: Any) -> None:
-    """Raise TypeError unless this is the spec of a command."""
-    if not isinstance(spec, CommandSpec) or not KEBAB_CASE.fullmatch(spec.name):
-        raise TypeError(f"offers {spec!r}; a command needs a CommandSpec, whose name is lower-case words with hyphens")
-
-
-def _require_command(target: Any) -> None:
-    """Raise TypeError unless a command's target is a function or a typer application."""
-    if not (inspect.isfunction(target) or hasattr(target, "registered_commands")):
-        raise TypeError(f"{target!r} is not a function or a typer application")
-
-
-def _is_part_of(missing: str | None, module: str) -> bool:
-    """Return whether a missing module belongs to the package of `module`, so that no library is missing."""
-    package, _, part = (missing or "").partition(".")
-    return bool(part) and package == module.partition(".")[0]
-
-
 def _require_component(kind: Any, slot: str) -> None:
-    """Raise TypeError unless `kind` is a complete component class of the slot."""
+    """Raise TypeError unless `kind` is a complete component class of the slot, for this version of the interface."""
     from tactile_loc.slots.component import Component
 
     if not (isinstance(kind, type) and issubclass(kind, Component) and getattr(kind, "slot", None) == slot):
         raise TypeError(f"{kind!r} does not derive from the {slot} interface")
     if inspect.isabstract(kind):
         raise TypeError(f"{kind.__name__} does not implement {', '.join(sorted(kind.__abstractmethods__))}")
-
-
-def validate_options(
-    model: Any, values: Mapping[str, Any], owner: str, name_option: Callable[[str], str] | None = None
-) -> Any:
-    """Build the pydantic options `model` from `values`.
-
-    Raises ConfigError if an option is unknown or its value is invalid. The message calls an invalid option
-    "key of the owner", or `name_option(key)` if that function is given.
-    """
-    try:
-        return model(**values)
-    except ValidationError as error:
-        problem = error.errors()[0]
-        key = ".".join(map(str, problem["loc"])) or "options"
-        if problem["type"] == "extra_forbidden":
-            fields = model.model_fields
-            for table in problem["loc"][:-1]:  # for an option of a table, list that table's options
-                fields = getattr(fields[str(table)].annotation, "model_fields", fields)
-            allowed = ", ".join(f"{k} ({_name_type(f.annotation)})" for k, f in fields.items()) or "none"
-            near = did_you_mean(str(problem["loc"][-1]), fields)
-            raise ConfigError(f"{owner} has no option {key!r}.{near} Known: {allowed}") from error
-        if problem["type"] == "missing":
-            raise ConfigError(f"{owner} needs the option {key!r}; {_advise_setting(owner, key)}") from error
-        subject = f"{key} of {owner}" if name_option is None else name_option(key)
-        raise ConfigError(f"{subject} cannot be {quote(problem['input'])}; {explain_allowed(problem)}") from error
-
-
-def _advise_setting(owner: str, key: str) -> str:
-    """Return advice on how to set an option of the owner, such as "the sensor 'file'"."""
-    slot = owner.removeprefix("the ").partition(" ")[0]
-    return f"set it with -o {slot}.{key}=..." if slot in SLOTS else "set it"
-
-
-_ALLOWED = {
-    "greater_than_equal": "give {ge} or more",
-    "greater_than": "give more than {gt}",
-    "less_than_equal": "give at most {le}",
-    "less_than": "give less than {lt}",
-    "literal_error": "give {expected}",
-    "finite_number": "give a finite number",
-    "string_type": "give a text",
-}
-_KINDS = {"int": "a whole number", "float": "a number", "bool": "true or false"}
-
-
-def explain_allowed(problem: Mapping[str, Any]) -> str:
-    """Return advice for a refused value, such as "give 1 or more".
-
-    `problem` is an item of `ValidationError.errors()`.
-    """
-    kind, about = problem["type"], problem.get("ctx", {})
-    if kind in _ALLOWED:
-        return _ALLOWED[kind].format_map({k: f"{v:g}" if isinstance(v, float) else v for k, v in about.items()})
-    if kind == "value_error":
-        return str(about["error"]).rstrip(".")
-    if (wanted := kind.partition("_")[0]) in _KINDS:
-        return f"give {_KINDS[wanted]}"
-    return str(problem["msg"]).replace("Input should be", "it must be")
-
-
-def _name_type(annotation: Any) -> str:
-    return annotation.__name__ if isinstance(annotation, type) else str(annotation).replace("typing.", "")
+    require_interface(kind, slot)
 
 
 @lru_cache(maxsize=1)

@@ -14,9 +14,8 @@ A check takes the component. It raises ContractError if the component breaks the
 contract and how it was broken. All checks are in one list. A component gets those whose slot and tags fit its declared
 capabilities. A package with a kind of its own adds its checks with the decorator `check`.
 
-A property is a check on drawn cases: frames, orders, symmetric copies, image sizes and mirror images. The cases are few
-and always the same. The message names a simple case that fails. Properties need hypothesis:
-pip install 'tactile-loc[testing]'.
+A property is a check on many drawn cases, which takes longer: frames, symmetric copies, image sizes and mirror images.
+The cases are always the same. The message names the case that fails.
 
 If an encoder needs training, train it first, for instance on `tactile_loc.testing.problems.make_training_problem()`.
 """
@@ -55,8 +54,7 @@ def list_checks(component: Component | CommandSpec) -> list[Check]:
 def list_properties(component: Component | CommandSpec) -> list[Check]:
     """Return the properties, functions of one component, for the component's slot and declared capabilities.
 
-    A property raises MissingLibraryError if hypothesis is not installed. Raises TypeError if `component` is not a
-    component.
+    Raises TypeError if `component` is not a component.
     """
     return [check for check in _list_all(component) if check.is_property]
 

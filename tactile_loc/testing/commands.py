@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from tactile_loc.slots.registry import CommandSpec, Offer, Registry
+from tactile_loc.slots.registry import CommandSpec, Offer, import_target
 from tactile_loc.testing.contract import check, require
 
 SHARED = {"--json", "-v", "--verbose", "-q", "--quiet", "-h", "--help"}  # tactile-loc adds these to every command
@@ -73,7 +73,7 @@ def check_import_is_light(spec: CommandSpec) -> None:
 
 def list_functions(spec: CommandSpec) -> dict[str, Callable[..., Any]]:
     """Return the functions of a command by name; several if its target is a typer application."""
-    target = Registry([]).load_command(Offer(spec, "this package"))
+    target = import_target(Offer(spec, "this package"))
     if inspect.isfunction(target):
         return {spec.name: target}
     named = ((info.name, info.callback) for info in target.registered_commands)

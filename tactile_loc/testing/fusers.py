@@ -53,33 +53,17 @@ def check_one_touch(fuser: Fuser) -> None:
 
 
 @check("fuser")
-def check_flat_prior(fuser: Fuser) -> None:
-    """A prior with the same weight for all poses changes nothing."""
-    posterior = _draw_posterior(make_small_grid())
-    fused = _fuse_one(fuser, posterior, lambda poses: np.full(len(poses), -3.0))
-    _require_equal(fused, _fuse_one(fuser, posterior).probabilities, "a flat prior must change nothing")
-
-
-@check("fuser")
 def check_prior_multiplies(fuser: Fuser) -> None:
-    """The log-weights that a prior gives for poses (N, 4, 4) are added once."""
+    """A prior's log-weights are added once. Equal weights change nothing, and one allowed pose is certain."""
     posterior = _draw_posterior(make_small_grid())
-
-    def prior(poses: Poses) -> NDArray[np.float64]:
-        return -((poses[:, 0, 3] / 0.002) ** 2)
-
-    expected = _fuse_one(fuser, posterior).probabilities * np.exp(prior(posterior.grid.T_sensor_object))
-    expected /= expected.sum()
-    fused = _fuse_one(fuser, posterior, prior)
-    _require_equal(fused, expected, "a prior's log-weights must be added once to the log-probabilities")
-
-
-@check("fuser")
-def check_certain_prior(fuser: Fuser) -> None:
-    """A prior that allows only one pose makes this pose certain."""
-    posterior = _draw_posterior(make_small_grid())
-    fused = _fuse_one(fuser, posterior, lambda poses: np.where(np.arange(len(poses)) == 7, 0.0, -np.inf))
-    _require_equal(fused, np.arange(len(posterior.grid)) == 7, "the only pose that the prior allows must be certain")
+    priors: dict[str, Prior] = {
+        "a prior with equal weights must change nothing": lambda poses: np.full(len(poses), -3.0),
+        "a prior's log-weights must be added once": lambda poses: -((poses[:, 0, 3] / 0.002) ** 2),
+        "the only allowed pose must be certain": lambda poses: np.where(np.arange(len(poses)) == 7, 0.0, -np.inf),
+    }
+    for sentence, prior in priors.items():
+        expected = _fuse_one(fuser, posterior).probabilities * np.exp(prior(posterior.grid.T_sensor_object))
+        _require_equal(_fuse_one(fuser, posterior, prior), expected / expected.sum(), sentence)
 
 
 @check("fuser")
@@ -92,11 +76,20 @@ def check_impossible_prior(fuser: Fuser) -> None:
 
 @check("fuser")
 def check_order(fuser: Fuser) -> None:
-    """Two touches at the same sensor pose give the same posterior in either order."""
+    """If touches are reordered, each pose keeps its probability, to TOLERANCE.
+
+    Sensor poses are drawn. All grids hold the same poses in the base frame, so that any touch can be the first.
+    """
     grid = make_small_grid()
-    first, second = _draw_posterior(grid, seed=1), _draw_posterior(grid, seed=2)
-    one, other = (_fuse_several(fuser, pair, [np.eye(4)] * 2) for pair in ([first, second], [second, first]))
-    _require_both(one, other, "the order of touches must not matter")
+
+    def claim(order: list[int], second: RigidMotion, third: RigidMotion) -> None:
+        sensors = [np.eye(4), second.T, third.T]
+        touches = _draw_posteriors([PoseGrid(invert(T) @ grid.T_sensor_object, grid.metric) for T in sensors])
+        plain = _fuse_several(fuser, touches, sensors)
+        other = _fuse_several(fuser, [touches[k] for k in order], [sensors[k] for k in order])
+        _require_both(other, plain, "the order of touches must not matter")
+
+    hold(claim, order=orders(3), second=motions(), third=motions())
 
 
 @check("fuser", "not contact_only")
@@ -139,8 +132,16 @@ def check_no_common_pose(fuser: Fuser) -> None:
 
 @check("fuser")
 def check_base_frame(fuser: Fuser) -> None:
-    """The base frame does not matter, only the sensors' poses relative to each other."""
-    _require_any_base(fuser, make_transform(rotation_about([3, -1, 2], 2.0), [-0.2, 0.5, 0.1]))
+    """If all sensors move together in the base frame, the probabilities stay the same, to TOLERANCE."""
+    here, sensors = make_small_grid(), [T_BASE_FIRST, T_BASE_SECOND]
+    touches = _draw_posteriors([here, _move_to_second(here)])
+    plain = _fuse_several(fuser, touches, sensors)
+
+    def claim(motion: RigidMotion) -> None:
+        other = _fuse_several(fuser, touches, [motion.T @ T for T in sensors])
+        _require_both(other, plain, "moving the base frame must not matter")
+
+    hold(claim, motion=motions(most_mm=900))
 
 
 @check("fuser")
@@ -177,30 +178,6 @@ def property_object_frame(fuser: Fuser) -> None:
 
 
 @check("fuser", "property")
-def property_base_frame(fuser: Fuser) -> None:
-    """If all sensors move together in the base frame, the probabilities stay the same, to TOLERANCE."""
-    hold(lambda motion: _require_any_base(fuser, motion.T), motion=motions(most_mm=900))
-
-
-@check("fuser", "property")
-def property_touch_order(fuser: Fuser) -> None:
-    """If touches are reordered, each pose keeps its probability, to TOLERANCE.
-
-    Sensor poses are drawn. All grids hold the same poses in the base frame, so that any touch can be the first.
-    """
-    grid = make_small_grid()
-
-    def claim(order: list[int], second: RigidMotion, third: RigidMotion) -> None:
-        sensors = [np.eye(4), second.T, third.T]
-        touches = _draw_posteriors([PoseGrid(invert(T) @ grid.T_sensor_object, grid.metric) for T in sensors])
-        plain = _fuse_several(fuser, touches, sensors)
-        other = _fuse_several(fuser, [touches[k] for k in order], [sensors[k] for k in order])
-        _require_both(other, plain, "the order of touches must not matter")
-
-    hold(claim, order=orders(3), second=motions(), third=motions())
-
-
-@check("fuser", "property")
 def property_symmetric_copies(fuser: Fuser) -> None:
     """A grid may have any copy T @ S of a pose T, where S is a symmetry of the part.
 
@@ -218,15 +195,6 @@ def property_symmetric_copies(fuser: Fuser) -> None:
         _require_both(fused, plain, "symmetric poses must count as one")
 
     hold(claim, seed=whole(0, 999))
-
-
-def _require_any_base(fuser: Fuser, T: Poses) -> None:
-    """Raise ContractError unless the answer stays the same if all sensors are moved by T (4, 4), metres."""
-    here = make_small_grid()
-    touches = [_draw_posterior(here, seed=1), _draw_posterior(_move_to_second(here), seed=2)]
-    one = _fuse_several(fuser, touches, [T_BASE_FIRST, T_BASE_SECOND])
-    other = _fuse_several(fuser, touches, [T @ T_BASE_FIRST, T @ T_BASE_SECOND])
-    _require_both(one, other, "moving the base frame must not matter")
 
 
 def _draw_posteriors(grids: Sequence[PoseGrid]) -> list[PosePosterior]:

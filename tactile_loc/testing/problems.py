@@ -29,117 +29,73 @@ from tactile_loc.slots.renderer import Renderer
 
 Array = NDArray[np.float64]
 
-_BOX_FACES = np.array(
-    [
-        [0, 2, 1],
-        [1, 2, 3],
-        [4, 5, 6],
-        [5, 7, 6],
-        [0, 1, 4],
-        [1, 5, 4],
-        [2, 6, 3],
-        [3, 6, 7],
-        [0, 4, 2],
-        [2, 4, 6],
-        [1, 3, 5],
-        [3, 7, 5],
-    ]
-)
-_ROUNDING = 1e-9
-RAYS = 256  # number of rays intersected at once
+_ROUNDING, _EDGE_ON = 1e-9, 1e-16  # of weights; least area of a triangle in the image
 
 
 class ReferenceRenderer(Renderer):
-    """A renderer that intersects every ray with every triangle, in closed form and double precision.
+    """A renderer that draws one triangle after the other, in closed form and double precision. Use it for small meshes.
 
-    Use it for small meshes.
+    In the image, the three weights of a triangle's corners are linear, and so is z, or 1/z for a pinhole.
     """
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depths z (N, H, W), metres, at pixel centres for poses (N, 4, 4).
 
-        Triangles entirely beyond the contact band are left out. A ray that meets no other triangle has the depth inf.
+        Triangles entirely beyond the contact band, or behind a pinhole, are left out. A ray that meets no other
+        triangle has the depth inf.
         """
-        depth = np.empty((len(T_sensor_object), *geometry.shape), np.float32)
+        depth = np.full((len(T_sensor_object), *geometry.shape), np.inf, np.float32)
         for picture, T in zip(depth, T_sensor_object, strict=True):
             triangles = mesh.triangles_m @ T[:3, :3].T + T[:3, 3]
-            in_band = triangles[..., 2].min(axis=1) <= geometry.standoff_m + geometry.max_depth_m
-            picture[:] = _find_first_hits(triangles[in_band], geometry).reshape(geometry.shape)
+            nearest = triangles[..., 2].min(axis=1)
+            behind = geometry.is_pinhole & (nearest <= 0)
+            _draw(triangles[(nearest <= geometry.standoff_m + geometry.max_depth_m) & ~behind], geometry, picture)
         return depth
 
 
-def _find_first_hits(triangles_m: Array, geometry: SensorGeometry) -> Array:
-    """Return depths (H * W,) of the nearest triangles. Each batch of RAYS rays has products that fit in the cache."""
-    rays = np.stack([s.ravel() for s in np.meshgrid(*geometry.pixel_slopes)], axis=-1)
-    low, high = _measure_outlines(triangles_m, geometry.is_pinhole)
-    products = _multiply_edges(triangles_m, geometry.is_pinhole)
-    depths = []
-    for part in np.split(rays, range(RAYS, len(rays), RAYS)):
-        before = ((low <= part.max(axis=0) + _ROUNDING) & (high >= part.min(axis=0) - _ROUNDING)).all(axis=1)
-        depths.append(_intersect(part, [product[before] for product in products], geometry.is_pinhole))
-    return np.concatenate(depths)
+def _draw(triangles_m: Array, geometry: SensorGeometry, picture: Float32) -> None:
+    """Draw triangles (F, 3, 3) into a picture (H, W) of depths, where they are nearer."""
+    x, y = geometry.pixel_slopes
+    corners, z = triangles_m.swapaxes(1, 2).copy(), triangles_m[..., 2]
+    corners[:, :2] /= z[:, None] if geometry.is_pinhole else 1.0
+    corners[:, 2] = 1.0
+    seen = np.abs(np.linalg.det(corners)) > _EDGE_ON
+    for at, depths, weigh in zip(corners[seen], z[seen], np.linalg.inv(corners[seen]), strict=True):
+        across, down = (_find_between(slopes, ends) for slopes, ends in ((x, at[0]), (y, at[1])))
+        weights = weigh[:, :1, None] * x[across] + weigh[:, 1:2, None] * y[down, None] + weigh[:, 2:, None]
+        if geometry.is_pinhole:
+            hit = 1.0 / np.einsum("c,crk->rk", 1.0 / depths, weights)
+        else:
+            hit = np.einsum("c,crk->rk", depths, weights)
+        part = picture[down, across]
+        np.minimum(part, hit, out=part, where=(weights >= -_ROUNDING).all(axis=0), casting="same_kind")
 
 
-def _measure_outlines(triangles_m: Array, is_pinhole: bool) -> tuple[Array, Array]:
-    """Return lower and upper bounds (F, 2) of the rays that can hit each triangle.
-
-    The bounds of a triangle that reaches behind a pinhole are infinite.
-    """
-    seen, z = triangles_m[..., :2], triangles_m[..., 2:]
-    if is_pinhole:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            seen = seen / z
-    everywhere = (z <= 0).any(axis=1) & is_pinhole
-    return np.where(everywhere, -np.inf, seen.min(axis=1)), np.where(everywhere, np.inf, seen.max(axis=1))
+def _find_between(slopes: Array, ends: Array) -> slice:
+    """Return the ascending slopes that lie between the least and the greatest of the ends."""
+    return slice(*np.searchsorted(slopes, [ends.min() - _ROUNDING, ends.max() + _ROUNDING]))
 
 
-def _multiply_edges(triangles_m: Array, is_pinhole: bool) -> list[Array]:
-    """Return the terms of `_intersect` that do not depend on the rays: vectors (F, 3) and numbers (F,)."""
-    a, e1, e2 = triangles_m[:, 0], triangles_m[:, 1] - triangles_m[:, 0], triangles_m[:, 2] - triangles_m[:, 0]
-    if is_pinhole:
-        back = np.cross(-a, e1)
-        return [np.cross(e2, -a), back, np.cross(e2, e1), np.einsum("fk,fk->f", e2, back)]
-    forward = np.array([0.0, 0.0, 1.0])
-    across = [np.cross(forward, e2), np.cross(e1, forward), np.cross(e1, e2)]
-    return [*across, *(np.einsum("fk,fk->f", a, w) for w in across), np.cross(e2, e1)[:, 2]]
-
-
-def _intersect(rays: Array, products: list[Array], is_pinhole: bool) -> Array:
-    """Return depths (K,) of rays (K, 2), by Cramer's rule with quotients of triple products (Moeller and Trumbore).
-
-    A ray is (x/z, y/z) for a pinhole, or (x, y) for a parallel projection. `products` are from `_multiply_edges`.
-    """
-    x, y = rays.T
-    if is_pinhole:
-        d, (*across, z) = np.stack([x, y, np.ones_like(x)], -1), products
-        u, v, det = (d @ w.T for w in across)
-    else:
-        o, across, starts, det = np.stack([x, y, np.zeros_like(x)], -1), products[:3], products[3:6], products[6]
-        u, v, z = (o @ w.T - start for w, start in zip(across, starts, strict=True))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v, z = u / det, v / det, z / det
-        inside = (u >= -_ROUNDING) & (v >= -_ROUNDING) & (u + v <= 1 + _ROUNDING) & (z > 0)
-    return np.where(inside, z, np.inf).min(axis=1, initial=np.inf)
+def extrude(outline_m: Array, z_m: tuple[float, float]) -> TriangleMesh:
+    """Return a closed prism along z over a convex outline (K, 2), metres, whose corners are listed anticlockwise."""
+    count = len(outline_m)
+    i, j, fan = np.arange(count), np.roll(np.arange(count), -1), np.arange(1, count - 1)
+    walls = [np.column_stack([i, j, i + count]), np.column_stack([j, j + count, i + count])]
+    caps = [np.column_stack([0 * fan, fan + 1, fan]), np.column_stack([0 * fan, fan, fan + 1]) + count]
+    rims = [np.column_stack([outline_m, np.full(count, z)]) for z in z_m]
+    return TriangleMesh(np.concatenate(rims), np.concatenate(walls + caps))
 
 
 def make_box(low_m: tuple[float, float, float], high_m: tuple[float, float, float]) -> TriangleMesh:
     """Return a closed box between two corners, metres."""
-    corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], float)
-    low, high = np.array(low_m), np.array(high_m)
-    return TriangleMesh(low + corners * (high - low), _BOX_FACES.copy())
+    (x0, y0, z0), (x1, y1, z1) = low_m, high_m
+    return extrude(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), (z0, z1))
 
 
 def make_cylinder(radius_m: float, z_m: tuple[float, float], sides: int = 16) -> TriangleMesh:
     """Return a closed prism about the z axis, metres. Its `sides` side faces are inside the cylinder."""
     angle = 2 * np.pi * np.arange(sides) / sides
-    ring = radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
-    rims = [np.column_stack([ring, np.full(sides, z)]) for z in z_m]
-    i, j = np.arange(sides), np.roll(np.arange(sides), -1)
-    low, high = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
-    walls = [np.column_stack([i, j, i + sides]), np.column_stack([j, j + sides, i + sides])]
-    caps = [np.column_stack([low, j, i]), np.column_stack([high, i + sides, j + sides])]
-    poles = np.array([[0, 0, z_m[0]], [0, 0, z_m[1]]])
-    return TriangleMesh(np.concatenate([*rims, poles]), np.concatenate(walls + caps))
+    return extrude(radius_m * np.column_stack([np.cos(angle), np.sin(angle)]), z_m)
 
 
 def move_mesh(mesh: TriangleMesh, by_m: tuple[float, float, float]) -> TriangleMesh:

@@ -1,7 +1,6 @@
-"""Random cases for testing properties, drawn by hypothesis: motions, places, orders and whole numbers.
+"""Random cases for testing properties: motions, places, orders and whole numbers.
 
-The cases are few and always the same, so a property never fails by chance. A case that breaks a property is simplified,
-and the ContractError names it.
+The cases are few and always the same, so a property never fails by chance. A ContractError names the case.
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from itertools import product
 from typing import Any
 
@@ -17,14 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.testing.contract import ContractError
 
-EXAMPLES = 5  # number of cases for each property; the first case is the simplest
-SPARE_BITS = 3  # additional bits of a number, so that all of its values are about equally likely
+EXAMPLES = 5  # number of cases for each property
 AXES = tuple(axis for axis in product((0, 1, -2), repeat=3) if any(axis))
 
-Strategy = Any  # hypothesis's SearchStrategy; hypothesis is imported only when a property is tried
+Draw = Callable[[np.random.Generator], Any]
 
 
 @dataclass(frozen=True)
@@ -63,108 +59,53 @@ class Place:
         return make_transform(tilt @ rotation_about([0, 0, 1], yaw), [x, y, 0.0])
 
 
-def hold(claim: Callable[..., None], examples: int = EXAMPLES, **drawn: Strategy) -> None:
+def hold(claim: Callable[..., None], examples: int = EXAMPLES, **drawn: Draw) -> None:
     """Try a claim, a function that raises ContractError if it does not hold, on drawn values of its arguments.
 
-    Raises ContractError if values break the claim; its message names simplified values. Raises MissingLibraryError if
-    hypothesis is not installed. Only hypothesis's phases `generate` and `shrink` are used, if its profile has them.
+    Raises ContractError if values break the claim; its message names these values.
     """
-    hypothesis = require_hypothesis()
-
-    def try_values(**values: Any) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(examples):
+        values = {name: draw(rng) for name, draw in drawn.items()}
         try:
             claim(**values)
         except ContractError as error:
             named = ", ".join(f"{name}={value!r}" for name, value in values.items())
             raise ContractError(f"{error} (with {named})") from None
 
-    phases = {hypothesis.Phase.generate, hypothesis.Phase.shrink} & set(hypothesis.settings.default.phases)
-    settings = hypothesis.settings(
-        max_examples=examples,
-        derandomize=True,
-        database=None,
-        deadline=None,
-        phases=phases,
-        print_blob=False,
-        report_multiple_bugs=False,
-        suppress_health_check=list(hypothesis.HealthCheck),
-    )
-    try:
-        settings(hypothesis.given(**drawn)(try_values))()
-    except hypothesis.errors.Flaky as error:
-        raise ContractError("the same case broke a property only once; keep no state between calls") from error
+
+def whole(least: int, most: int) -> Draw:
+    """Draw a whole number from `least` to `most`."""
+    return lambda rng: int(rng.integers(least, most + 1))
 
 
-def whole(least: int, most: int) -> Strategy:
-    """Draw a whole number from `least` to `most`. The least number is the simplest.
-
-    The number is made of bits, because hypothesis mixes constants of imported code into its own whole numbers. These
-    constants would differ between runs, and hypothesis would create a folder for them.
-    """
-    span = most - least + 1
-    bits = span.bit_length() + SPARE_BITS
-
-    def number(drawn: Sequence[bool]) -> int:
-        value = sum(bit << place for place, bit in enumerate(reversed(drawn)))
-        return least + (value * span >> bits)
-
-    strategies = require_hypothesis().strategies
-    return strategies.tuples(*[strategies.booleans()] * bits).map(number)
+def one_of(values: Sequence[Any]) -> Draw:
+    """Draw one of the values."""
+    return lambda rng: values[int(rng.integers(len(values)))]
 
 
-def signed(most: int) -> Strategy:
-    """Draw a whole number from -most to most. 0 is the simplest."""
-    return whole(0, 2 * most).map(lambda number: (number + 1) // 2 * (-1) ** number)
+def orders(count: int) -> Draw:
+    """Draw an order of the numbers 0 to count - 1."""
+    return lambda rng: rng.permutation(count).tolist()
 
 
-def one_of(values: Sequence[Any]) -> Strategy:
-    """Draw one of the values. The first value is the simplest."""
-    return whole(0, len(values) - 1).map(values.__getitem__)
-
-
-def orders(count: int) -> Strategy:
-    """Draw an order of the numbers 0 to count - 1. The reverse order is the simplest."""
-
-    def order(number: int) -> list[int]:
-        left, drawn = list(range(count))[::-1], []
-        for size in range(count, 0, -1):
-            number, place = divmod(number, size)
-            drawn.append(left.pop(place))
-        return drawn
-
-    return whole(0, math.factorial(count) - 1).map(order)
-
-
-def shifts(least_mm: int = 20, most_mm: int = 150) -> Strategy:
+def shifts(least_mm: int = 20, most_mm: int = 150) -> Draw:
     """Draw a shift: three whole numbers of mm of either sign, whose sizes are between the limits."""
-    sizes = range(least_mm, most_mm + 1)
-    return require_hypothesis().strategies.tuples(*[one_of([*sizes, *(-size for size in sizes)])] * 3)
+    return lambda rng: tuple((rng.integers(least_mm, most_mm + 1, 3) * rng.choice([-1, 1], 3)).tolist())
 
 
-def motions(least_deg: int = 15, most_mm: int = 150) -> Strategy:
+def motions(least_deg: int = 15, most_mm: int = 150) -> Draw:
     """Draw a RigidMotion with a rotation of at least `least_deg` and a shift of at most `most_mm` along each axis."""
-    builds = require_hypothesis().strategies.builds
-    return builds(RigidMotion, axis=one_of(AXES), turn_deg=whole(least_deg, 180), shift_mm=shifts(0, most_mm))
+    parts = one_of(AXES), whole(least_deg, 180), shifts(0, most_mm)
+    return lambda rng: RigidMotion(*(draw(rng) for draw in parts))
 
 
-def places(most_tenths_mm: int = 30, most_tilt_deg: int = 0) -> Strategy:
+def places(most_tenths_mm: int = 30, most_tilt_deg: int = 0) -> Draw:
     """Draw a Place with any yaw, and with at most these offsets along each axis and this tilt."""
-    x, y = (signed(most_tenths_mm) for _ in range(2))
-    yaw, tilt = whole(0, 359), whole(0, most_tilt_deg)
-    return require_hypothesis().strategies.builds(Place, x_tenths_mm=x, y_tenths_mm=y, yaw_deg=yaw, tilt_deg=tilt)
+    along = whole(-most_tenths_mm, most_tenths_mm)
+    return lambda rng: Place(along(rng), along(rng), whole(0, 359)(rng), whole(0, most_tilt_deg)(rng))
 
 
-def slides() -> Strategy:
+def slides() -> Draw:
     """Draw a Place as the offset of a candidate: at most 0.8 mm along each axis, and a yaw of at most 5 degrees."""
-    x, y = (signed(8) for _ in range(2))
-    return require_hypothesis().strategies.builds(Place, x_tenths_mm=x, y_tenths_mm=y, yaw_deg=signed(5))
-
-
-def require_hypothesis() -> Any:
-    """Return the library hypothesis. Raises MissingLibraryError if it is not installed."""
-    try:
-        return import_module("hypothesis")
-    except ImportError as error:
-        raise MissingLibraryError(
-            "properties need hypothesis, which is not installed: pip install 'tactile-loc[testing]'"
-        ) from error
+    return lambda rng: Place(*rng.integers([-8, -8, -5], [9, 9, 6]).tolist())

@@ -14,7 +14,6 @@ from tactile_loc.slots.encoder import Encoder
 from tactile_loc.slots.registry import CommandSpec
 from tactile_loc.testing import list_checks, list_properties
 from tactile_loc.testing.contract import Check, ContractError
-from tactile_loc.testing.properties import require_hypothesis
 
 
 @dataclass(frozen=True)
@@ -37,16 +36,13 @@ def run_checks(component: Component | CommandSpec, properties: bool = False) -> 
 
     An encoder that needs training is first trained on `make_training_problem()`. If the training fails, its result is
     the only one. A check that raises another exception than ContractError has failed too; the result names the
-    exception. Raises TypeError if `component` is not a component. Raises MissingLibraryError if `properties` is true
-    and hypothesis is not installed.
+    exception. Raises TypeError if `component` is not a component.
     """
     return list(iter_checks(component, properties))
 
 
 def iter_checks(component: Component | CommandSpec, properties: bool = False) -> Iterator[CheckResult]:
     """Yield the results of `run_checks`, each as soon as it is known."""
-    if properties:
-        require_hypothesis()
     chosen = [*list_checks(component), *(list_properties(component) if properties else [])]
     if isinstance(component, Encoder) and component.capabilities.needs_training:
         trained = _run_check(Check("train", "encoder", (), train), component)

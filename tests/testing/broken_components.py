@@ -1,4 +1,4 @@
-"""Components that break one contract each: BROKEN pairs each check with a component that it must notice."""
+"""Components that break one contract each: BROKEN pairs each check or property with a component that it must notice."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from tactile_loc.bases.all_rotations import find_centroid_range
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.poses.candidate import RefinedPose
+from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.options import ComponentOptions
@@ -29,9 +30,10 @@ from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.sensors.presets import GelSlim
 from tactile_loc.slots.component import Capabilities
 from tactile_loc.testing import contract, encoders, fusers, grids, matchers, refiners, renderers, sensors
-from tactile_loc.testing.problems import ReferenceRenderer
+from tactile_loc.testing.problems import ReferenceRenderer, make_plain_object
 
 INFINITE = np.float32(np.inf)
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 DEFAULT = Capabilities()
 
 
@@ -90,7 +92,18 @@ def anything_goes(self, image):
     return ContactShape(np.zeros(self.geometry.shape, np.float32), self.geometry.max_depth_m)
 
 
+def flipped(shape: ContactShape, *_):
+    return ContactShape(shape.depth_m[:, ::-1].copy(), shape.press_depth_m)
+
+
+def cut_out(self, image):
+    """Crops the corner of a large image."""
+    return GelSlim.contact_shape(self, image[: self.geometry.height_px, : self.geometry.width_px])
+
+
 SENSOR = [
+    (sensors.check_depths_are_kept, then(GelSlim, "contact_shape", flipped)),
+    (sensors.property_image_size, made(GelSlim, contact_shape=cut_out)),
     (sensors.check_geometry, made(GelSlim, geometry=property(lambda self: in_millimetres(self._geometry)))),
     (sensors.check_contact_shape, then(GelSlim, "contact_shape", lambda s, _: ContactShape(s.depth_m[::2], 2e-3))),
     (sensors.check_contact_shape, then(GelSlim, "contact_shape", lambda s, _: deeper(s, 1.5))),
@@ -120,7 +133,27 @@ def drawing(change):
     return then(ReferenceRenderer, "render", change)
 
 
+def transposed(self, mesh, T, geometry):
+    return ReferenceRenderer.render(self, mesh, make_transform(T[:, :3, :3].swapaxes(1, 2), T[:, :3, 3]), geometry)
+
+
+def silhouettes(depth, mesh, T, geometry):
+    return np.where(np.isfinite(depth), np.float32(geometry.standoff_m), depth)
+
+
+def shaded_by_its_own_axis(depth, mesh, T, geometry):
+    return depth + 1e-4 * T[:, 0, 0, None, None].astype(np.float32)
+
+
+def beside_by_pixels(self, mesh, T, geometry):
+    return ReferenceRenderer.render(self, mesh, T, dataclasses.replace(geometry, cx=geometry.cx + 2))
+
+
 RENDERER = [
+    (renderers.property_any_view, made(ReferenceRenderer, render=transposed)),
+    (renderers.property_any_view, made(ReferenceRenderer, render=beside_by_pixels)),
+    (renderers.property_any_view, drawing(silhouettes)),
+    (renderers.property_any_view, drawing(shaded_by_its_own_axis)),
     (renderers.check_output, drawing(lambda d, *_: d.astype(float))),
     (renderers.check_output, drawing(lambda d, *_: np.nan_to_num(d, posinf=0.0))),
     (renderers.check_sphere, made(ReferenceRenderer, render=off_by_half_a_pixel)),
@@ -130,8 +163,7 @@ RENDERER = [
     (renderers.check_apart_is_together, then(ReferenceRenderer, "render_apart", lambda d, *_: d + np.float32(1e-4))),
     (renderers.check_mesh_and_poses_untouched, drawing(lambda d, m, T, g: scribbled(d, T))),
     (renderers.check_mesh_and_poses_untouched, drawing(lambda d, m, T, g: scribbled(d, m.vertices_m))),
-    (renderers.check_shift_moves_the_picture, drawing(lambda d, *_: d[:, :, ::-1])),
-    (renderers.check_quarter_turn_turns_the_picture, drawing(lambda d, *_: np.swapaxes(d, 1, 2))),
+    (renderers.check_hidden_surfaces, drawing(lambda d, *_: d[:, :, ::-1])),
     (renderers.check_scale, drawing(lambda d, *_: d + np.float32(1e-4))),
     (renderers.check_deterministic, drifting(ReferenceRenderer, "render", lambda d, n: d + np.float32(1e-6 * n))),
     (renderers.check_undercuts, made(HeightmapRenderer, capabilities=DEFAULT)),
@@ -165,7 +197,29 @@ def places_of_one_side(places, *_):
     return dataclasses.replace(places, T_place_object=places.T_place_object[some], patches=places.patches[some])
 
 
+def nearly_twice(T, *_):
+    return np.concatenate([T, make_translation([2e-4, 0, 0]) @ T])
+
+
+def places_turned_about_the_origin(places, *_):
+    turn = make_transform(rotation_about([1, 2, 3], 0.02), np.zeros(3))
+    return dataclasses.replace(places, T_place_object=places.T_place_object @ turn)
+
+
+def few(grid):
+    """The same grid with few directions, for speed."""
+    return type(grid)(WholeGrid.Options(directions=1000))
+
+
+def places_without_symmetry(self, obj, progress):
+    return WholeGrid.places(self, make_plain_object(obj.name, obj.mesh), progress)
+
+
 GRID = [
+    (grids.property_object_origin, then(FaceGrid, "sample", lambda T, *_: T[T[:, 0, 3] > 0])),
+    (grids.property_symmetric_copies, then(FaceGrid, "sample", nearly_twice)),
+    (grids.property_place_origin, few(then(WholeGrid, "places", places_turned_about_the_origin))),
+    (grids.property_symmetric_places, few(made(WholeGrid, places=places_without_symmetry))),
     (grids.check_poses_are_rigid, then(FaceGrid, "sample", lambda T, *_: T * np.array([-1.0, 1, 1, 1])[:, None])),
     (grids.check_poses_are_rigid, then(FaceGrid, "random", lambda T, *_: T[1:])),
     (grids.check_spacing, sampling(lambda s: s / 4)),
@@ -208,7 +262,17 @@ def knows_nothing(pair, depth, seen, *_):
 
 
 LEARNS = Capabilities(follows_press_depth=True, needs_training=True)
+
+
+def cropped(self, depth, press, geometry):
+    """Crops the corner of a large image."""
+    rows, columns = encoders.CAMERA.shape
+    return PixelEncoder.encode(self, depth[:, :rows, :columns], press, encoders.CAMERA)
+
+
 ENCODER = [
+    (encoders.check_image_size, made(PixelEncoder, encode=cropped)),
+    (encoders.property_mirror_image, then(PixelEncoder, "encode", lambda e, *_: np.sort(e, axis=1))),
     (encoders.check_output, then(PixelEncoder, "encode", lambda e, *_: e.astype(float))),
     (encoders.check_output, made(PixelEncoder, encode=lambda self, d, p, g: d)),
     (encoders.check_batch_is_singles, then(PixelEncoder, "encode", lambda e, *_: e - e.mean(axis=0))),
@@ -253,11 +317,18 @@ def first_rows_of_weighted(self, queries, weights=None):
     return scores
 
 
+def along_the_axes(self, queries):
+    return -0.5 * np.abs(queries[:, None] - self._bank[None]).sum(axis=-1)
+
+
 MATCHER = [
+    (matchers.property_any_space, made(DenseMatcher, scores=along_the_axes)),
+    (matchers.property_any_space, then(DenseMatcher, "scores", lambda s, _: s - 1e-4 * np.arange(s.shape[1]))),
+    (matchers.property_any_space, then(DenseMatcher, "scores", lambda s, _: np.maximum(s, -1))),
     (matchers.check_output, then(DenseMatcher, "scores", lambda s, *_: s.astype(float))),
     (matchers.check_output, then(DenseMatcher, "scores", lambda s, *_: np.where(s < -1, -INFINITE, s))),
     (matchers.check_definition, then(DenseMatcher, "scores", lambda s, *_: 2 * s)),
-    (matchers.check_best_row_is_found, then(DenseMatcher, "scores", lambda s, *_: -s)),
+    (matchers.check_definition, then(DenseMatcher, "scores", lambda s, *_: -s)),
     (matchers.check_row_order, then(DenseMatcher, "scores", lambda s, *_: np.sort(s, axis=1))),
     (matchers.check_query_order, then(DenseMatcher, "scores", lambda s, *_: s[::-1])),
     (matchers.check_index_replaces, made(DenseMatcher, index=appended)),
@@ -267,7 +338,7 @@ MATCHER = [
     (matchers.check_weights, made(DenseMatcher, scores=refuses_weights)),
     (matchers.check_weights, made(FaissMatcher, scores=first_rows_of_weighted)),
     (matchers.check_weights, then(DenseMatcher, "scores", lambda s, q, *w: scribbled(s, w[0]) if w else s)),
-    (matchers.check_single_row, then(DenseMatcher, "scores", lambda s, *_: np.squeeze(s))),
+    (matchers.check_index_replaces, then(DenseMatcher, "scores", lambda s, *_: np.squeeze(s))),
     (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "scores", scribbled)),
     (matchers.check_bank_and_queries_untouched, then(DenseMatcher, "index", scribbled)),
     (matchers.check_deterministic, drifting(DenseMatcher, "scores", lambda s, n: s - np.float32(1e-3 * n))),
@@ -333,7 +404,18 @@ def together(self, touch, candidates, scene):
     return [dataclasses.replace(result, converged=many[0].converged) for result in many]
 
 
+def towards_its_own_axis(result, *_):
+    return moved(result, 3e-4 * result.T_sensor_object[0, 0])
+
+
+def reflected(result, *_):
+    return dataclasses.replace(result, T_sensor_object=result.T_sensor_object @ MIRROR)
+
+
 REFINER = [
+    (refiners.property_symmetric_copies, then(NoRefiner, "refine", towards_its_own_axis)),
+    (refiners.property_mirrored_part, then(NoRefiner, "refine", reflected)),
+    (refiners.property_mirrored_part, then(NoRefiner, "refine", lambda r, *_: moved(r, 0.03))),
     (refiners.check_output, saying(contact_iou=2.0)),
     (refiners.check_output, saying(T_sensor_object=-np.eye(4))),
     (refiners.check_truth_stays, then(NoRefiner, "refine", lambda r, *_: moved(r, 2e-4))),
@@ -343,16 +425,16 @@ REFINER = [
     (refiners.check_scale, then(NoRefiner, "refine", lambda r, *_: moved(r, 3e-4))),
     (refiners.check_object_frame, then(NoRefiner, "refine", turned_about_the_origin)),
     (refiners.check_ignores_masked_pixels, made(NoRefiner, refine=by_all_pixels)),
-    (refiners.check_nearly_empty_contact, made(NoRefiner, refine=needs_points)),
+    (refiners.check_degenerate_contact, made(NoRefiner, refine=needs_points)),
     (refiners.check_degenerate_contact, made(NoRefiner, refine=needs_a_slope)),
-    (refiners.check_failure_is_said, made(NoRefiner, capabilities=DEFAULT)),
+    (refiners.check_candidate_without_contact, made(NoRefiner, capabilities=DEFAULT)),
     (refiners.check_many_are_one_by_one, made(NoRefiner, refine_many=reversed_many)),
     (refiners.check_many_are_one_by_one, made(NoRefiner, refine_many=needs_one)),
     (refiners.check_many_are_one_by_one, made(IcpRefiner, refine_many=together)),
     (refiners.check_candidate_without_contact, saying(contact_iou=1.0)),
     (refiners.check_deterministic, drifting(NoRefiner, "refine", lambda r, n: moved(r, 1e-9 * n))),
     (refiners.check_offsets_shrink, made(NoRefiner, capabilities=DEFAULT)),
-    (refiners.check_offsets_shrink_after_a_light_press, made(IcpRefiner, refine=full_press_only)),
+    (refiners.check_offsets_shrink, made(IcpRefiner, refine=full_press_only)),
 ]
 
 
@@ -384,11 +466,28 @@ def in_sensor_frames(self, posteriors, T_base_sensor, prior=None):
     return PosePosterior(first.grid, first.log_p + second.log_p[second.grid.nearest(first.grid.T_sensor_object)[1]])
 
 
+def from_the_objects_origin(self, posteriors, T_base_sensor, prior=None):
+    """Prefers poses whose object's origin is near the sensor's axis."""
+    first = posteriors[0]
+    return PosePosterior(first.grid, first.log_p - 10 * np.abs(first.grid.T_sensor_object[:, 0, 3]))
+
+
+def without_symmetry(self, posteriors, T_base_sensor, prior=None):
+    """Looks up the second touch by poses alone."""
+    first, second = posteriors
+    mesh = first.grid.metric.object.mesh
+    grid = PoseGrid(second.grid.T_sensor_object, PoseMetric(make_plain_object("asymmetric", mesh)))
+    T = np.linalg.inv(T_base_sensor[1]) @ T_base_sensor[0] @ first.grid.T_sensor_object
+    return PosePosterior(first.grid, first.log_p + second.log_p[grid.nearest(T)[1]])
+
+
 FUSER = [
+    (fusers.property_object_frame, made(ProductFuser, fuse=from_the_objects_origin)),
+    (fusers.property_symmetric_copies, made(ProductFuser, fuse=without_symmetry)),
     (fusers.check_one_touch, made(ProductFuser, fuse=with_log_p(lambda p, w: 0.5 * p + w))),
-    (fusers.check_flat_prior, made(ProductFuser, fuse=with_log_p(lambda p, w: p * w))),
+    (fusers.check_prior_multiplies, made(ProductFuser, fuse=with_log_p(lambda p, w: p * w))),
     (fusers.check_prior_multiplies, made(ProductFuser, fuse=with_log_p(lambda p, w: p + 2 * w))),
-    (fusers.check_certain_prior, made(ProductFuser, fuse=with_log_p(lambda p, w: p + np.maximum(w, -5)))),
+    (fusers.check_prior_multiplies, made(ProductFuser, fuse=with_log_p(lambda p, w: p + np.maximum(w, -5)))),
     (fusers.check_impossible_prior, made(ProductFuser, fuse=with_log_p(lambda p, w: p + np.nan_to_num(w)))),
     (fusers.check_order, made(ProductFuser, fuse=lambda self, posteriors, T, prior=None: posteriors[0])),
     (fusers.check_sensor_poses, made(ProductFuser, fuse=in_sensor_frames)),

@@ -5,13 +5,9 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
-from collections.abc import Iterator
 
-import broken_components
-import broken_properties
-import hypothesis
 import pytest
-from hypothesis import Phase
+from broken_components import BROKEN
 
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
@@ -36,19 +32,8 @@ from tactile_loc.testing.contract import CHECKS, PROPERTY
 from tactile_loc.testing.running import run_checks
 
 MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers)
-BROKEN = [*broken_components.BROKEN, *broken_properties.BROKEN]
 
 
-@pytest.fixture
-def unsimplified() -> Iterator[None]:
-    """Report the first failing case, since simplification takes another second or two."""
-    hypothesis.settings.register_profile("unsimplified", phases=[Phase.generate])
-    hypothesis.settings.load_profile("unsimplified")
-    yield
-    hypothesis.settings.load_profile("default")
-
-
-@pytest.mark.usefixtures("unsimplified")
 @pytest.mark.parametrize(("check", "component"), BROKEN, ids=lambda x: getattr(x, "name", type(x).__name__))
 def test_a_broken_component_is_noticed(check, component):
     with pytest.raises(ContractError) as caught:

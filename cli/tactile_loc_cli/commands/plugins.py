@@ -26,9 +26,7 @@ Check = Annotated[
     bool, declare("--check", "Run the contract checks of SLOT NAME; exit code 1 if it breaks a contract.")
 ]
 SetOption = Annotated[list[str] | None, set_option("With --check: set an option of the component; may be repeated.")]
-Properties = Annotated[
-    bool, declare("--properties", "With --check: also run property tests; needs pip install 'tactile-loc[testing]'.")
-]
+Properties = Annotated[bool, declare("--properties", "With --check: also run property tests.")]
 
 
 def objects() -> dict[str, Any]:
@@ -89,7 +87,7 @@ def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
     return {"components": components, "commands": commands, "conflicts": conflicts, "not_loaded": failures}
 
 
-def _describe(offer: Offer[Any]) -> dict[str, Any]:
+def _describe(offer: Offer) -> dict[str, Any]:
     """Return what a spec states about a component or a command."""
     spec = offer.spec
     about = {"slot": spec.slot, "name": spec.name, "distribution": offer.distribution, "summary": spec.summary}
@@ -104,7 +102,7 @@ def _say_interface(component: dict[str, Any]) -> None:
         say("interface: the {slot} {name!r} of {distribution} {reason}".format(reason=reason, **component))
 
 
-def _find_conflicts(components: Sequence[Offer[Any]]) -> list[dict[str, Any]]:
+def _find_conflicts(components: Sequence[Offer]) -> list[dict[str, Any]]:
     distributions: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for c in components:
         distributions[c.spec.slot, c.spec.name].append(c.distribution)
@@ -117,7 +115,7 @@ def _find_conflicts(components: Sequence[Offer[Any]]) -> list[dict[str, Any]]:
 
 def _show_options(found: Registry, slot: str, name: str) -> dict[str, Any]:
     if slot == COMMAND:
-        command = _describe(found.find_command(name))
+        command = _describe(found.find(COMMAND, name))
         say(_format_heading(command))
         say(f"for its options, see tactile-loc {name} -h")
         return command
@@ -164,7 +162,7 @@ def _check(found: Registry, slot: str, name: str, words: list[str], properties: 
     """Run the contract checks of a component or a command. Raises Finding if a check fails."""
     from tactile_loc.testing.running import iter_checks
 
-    offer: Offer[Any] = found.find_command(name) if slot == COMMAND else found.find(slot, name)
+    offer = found.find(slot, name)
     about = _describe(offer)
     checked = offer.spec if slot == COMMAND else _make(found, slot, name, words)
     say(_format_heading(about))

@@ -26,7 +26,8 @@ from tactile_loc.io.config import (
     parse_overrides,
 )
 from tactile_loc.io.toml import read_toml
-from tactile_loc.slots.registry import SLOTS, registry, validate_options
+from tactile_loc.slots.options import validate_options
+from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc.store.keys import write_canonical_json
 
 SETTINGS = ("shape_px", "temperature", "drawing")  # the same for all combinations of a sweep

@@ -20,7 +20,7 @@ from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.labels import Float32, Image, LabelledPresses
 from tactile_loc.slots.encoder import Checkpoints
-from tactile_loc.slots.registry import validate_options
+from tactile_loc.slots.options import validate_options
 
 if TYPE_CHECKING:
     from torch import nn
