@@ -90,9 +90,11 @@ def simulate(
     The poses are drawn at random from the grid's range. `run --touch` reads the written contact shapes (npz), and a
     list of touches (touches.toml).
     """
+    from tactile_loc.sensors.optics.lamps import choose_optics
+
     _require_one_kind(count, together, opposed, recording)
     settings = options.make_config(given)
-    seen_by = _find_optics(optics, settings.sensor.name) if images or optics is not None else None
+    seen_by = choose_optics(settings.sensor.name, optics) if images or optics is not None else None
     if recording is not None and out != DEFAULT_OUT:
         raise ConfigError("--recording writes a single file; leave out --out")
     require_writable(out if recording is None else recording.parent)
@@ -203,13 +205,6 @@ def _warn_of_others(out: Path, names: list[str], listed: bool) -> None:
             format_count(len(others), "touch"),
             others[0],
         )
-
-
-def _find_optics(asked: str | None, sensor: str) -> Optics:
-    """Return the optics of this name, or without a name the optics that suit the sensor."""
-    from tactile_loc.sensors.optics.lamps import choose_optics, find_optics
-
-    return choose_optics(sensor) if asked is None else find_optics(asked)
 
 
 def _write_images(touches: list[Touch], geometry: SensorGeometry, optics: Optics, seed: int, out: Path) -> None:

@@ -19,6 +19,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.optimize import least_squares
 
 from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
 
@@ -152,8 +154,6 @@ def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
     The model consists of the circle's two ramps, their products and a plane. The amplitudes of these terms follow from
     the circle by linear least squares, separately for each colour (variable projection).
     """
-    from scipy.optimize import least_squares
-
     circle, share = start, 0.0
     for _ in range(2):  # the window moves with the circle
         x, y, colours = _take_around(change, circle)
@@ -212,8 +212,6 @@ def _find_relief(change: Float32, circle: Circle) -> Float32:
 
     The strength is the component of the change along the local mean colour.
     """
-    from scipy.ndimage import gaussian_filter
-
     fine, wide = max(1.0, FINE * circle.radius_px), SKIRT * circle.radius_px
     hue = gaussian_filter(change, (2 * fine, 2 * fine, 0))
     hue /= np.maximum(np.linalg.norm(hue, axis=2, keepdims=True), 1)
@@ -226,8 +224,6 @@ def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[
 
     Return the offsets (RAYS,) of these points from the circle, pixels, and their weights (RAYS,).
     """
-    from scipy.ndimage import gaussian_filter, map_coordinates
-
     u = np.arange(BAND[0], BAND[1] + STEP / 2, STEP)
     along = circle.radius_px * u[:, None]
     x, y = circle.x_px + along * directions[:, 0], circle.y_px + along * directions[:, 1]

@@ -126,7 +126,7 @@ class Calibration:
         """The optics of the simulated training images. Raises CalibrationError if the images were not simulated."""
         try:
             return Optics.parse(self.record["simulated"]["optics"])
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise CalibrationError(
                 f"{self.folder} was not calibrated on simulated images, so no images can be simulated for it; give a "
                 "folder of tactile-loc calibrate --simulated"

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.gel import Gel
@@ -121,8 +122,6 @@ def fit_gel(
 
 def measure_profile(press: BallImage, untouched: Image) -> Floats:
     """Return the root mean square of the odd colour change (K,), counts, at REACH radii; NaN beyond the image."""
-    from scipy.ndimage import gaussian_filter, map_coordinates
-
     change = gaussian_filter(compare_colours(press.image, untouched), (SMOOTHING_PX, SMOOTHING_PX, 0))
     angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
     away = press.circle.radius_px * REACH[:, None]

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion, distance_transform_edt
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.sensing.scene import Scene
@@ -139,8 +140,6 @@ def label_mesh(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m
 
 def label_surface(indentation_m: NDArray[np.floating], contact: Mask, geometry: SensorGeometry) -> PressLabel:
     """Return the label of a press with an indentation (H, W), metres, and a contact (H, W)."""
-    from scipy.ndimage import binary_erosion, distance_transform_edt
-
     slope = differentiate(indentation_m, geometry).astype(np.float32)
     away_m = distance_transform_edt(~contact) * geometry.pixel_pitch_m
     inside = binary_erosion(contact)  # without the border, where central differences halve the slope of a step

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError
@@ -151,8 +152,6 @@ class PressFolder(LabelledPresses):
         return label_elastic_ball(self.geometry, centre_px, contact_m, press_balls(self.fit.gel, ball.ball_m))
 
     def _label_mesh(self, row: PressRow) -> PressLabel:
-        from scipy.spatial.transform import Rotation
-
         scene = self._load_scene(row.mesh, row.values.get("units") or "auto")
         angles = [row.read_number(f"{name}_deg") for name in ("yaw", "pitch", "roll")]
         T = make_transform(

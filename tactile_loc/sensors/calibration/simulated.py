@@ -21,7 +21,7 @@ from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.sensors.calibration.labels import Image, LabelledPresses, PressLabel, label_surface
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome, calibrate_stage
 from tactile_loc.sensors.optics.gel import SOFTNESS_M
-from tactile_loc.sensors.optics.lamps import OPTICS, Optics, choose_optics, find_optics
+from tactile_loc.sensors.optics.lamps import OPTICS, Optics, choose_optics
 from tactile_loc.sensors.optics.shading import render_background
 from tactile_loc.sensors.optics.simulate import press_boards
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe, make_estimator
@@ -54,7 +54,7 @@ class SimulatedSensor:
         unknown `lamps`, SensorError for a sensor file that cannot be read, and CalibrationError for another sensor that
         cannot be simulated.
         """
-        optics = find_optics(lamps) if lamps else choose_optics(sensor)
+        optics = choose_optics(sensor, lamps)
         if sensor.endswith(".toml"):
             return cls(read_sensor_file(Path(sensor)), optics)
         if sensor not in OPTICS:

@@ -14,6 +14,7 @@ from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, uniform_filter
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.runtime.progress import Progress
@@ -188,8 +189,6 @@ def _find_quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[
 
 def _measure_strongest(change: Float32) -> float:
     """Smooth a change (H, W, 3), and return the largest change of a pixel, counts."""
-    from scipy.ndimage import uniform_filter
-
     side = max(3, max(change.shape) // 40)
     return float(np.sqrt((uniform_filter(change, (side, side, 0)) ** 2).mean(axis=2).max()))
 
@@ -343,6 +342,4 @@ def _fit_robustly(
 
 def _extract_details(image: Float32) -> Float32:
     """Return the details of an image (H, W, 3), without noise and without slow changes such as those of the light."""
-    from scipy.ndimage import gaussian_filter
-
     return np.asarray(gaussian_filter(image, (1, 1, 0)) - gaussian_filter(image, (6, 6, 0)), np.float32)

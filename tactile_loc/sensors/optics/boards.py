@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
+import trimesh
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-
-if TYPE_CHECKING:
-    import trimesh
 
 PLATE_M = (0.080, 0.060, 0.006)
 COLUMNS, ROWS, PITCH_M = 7, 5, 0.010
@@ -33,7 +32,7 @@ MOST_TILT_RAD = math.radians(8)
 MIDDLE = 0.8  # share of the board, around its middle, from which the point over the sensor's middle is drawn
 ABOVE_M = 0.001  # distance from the undeformed surface before a pose is brought to contact
 
-Shape = Callable[[float, float], "trimesh.Trimesh"]
+Shape = Callable[[float, float], trimesh.Trimesh]
 
 
 def make_board(number: int) -> ObjectModel:
@@ -43,13 +42,9 @@ def make_board(number: int) -> ObjectModel:
     rings, ridges, steps, rods and rounded rings. Each board has 35 shapes, 2 to 4 mm high. About half of the shapes
     lean. Every shape is a closed surface that overlaps the plate.
     """
-    import trimesh
-
     if number not in (1, 2):
         raise ConfigError(f"there is no calibration board {number}; choose 1 or 2")
-    first = (_make_cylinder, _make_box, _make_cone, _make_cap, _make_rods, _make_slotted)
-    second = (_make_pyramid, _make_ring, _make_ridge, _make_steps, _make_rod, _make_torus)
-    shapes = first if number == 1 else second
+    shapes = BOARDS[number - 1]
     x, y, thickness = PLATE_M
     plate = trimesh.creation.box(bounds=[(-x / 2, -y / 2, -thickness), (x / 2, y / 2, 0.0)])
     whole = _join(plate, *_place_shapes(shapes))
@@ -64,8 +59,6 @@ def draw_board_poses(board: ObjectModel, geometry: SensorGeometry, count: int, r
     rectangle is drawn from the inner part of the board (see MIDDLE). At these poses, the board does not touch the gel:
     bring them to contact.
     """
-    from scipy.spatial.transform import Rotation
-
     yaw, towards = (rng.uniform(0, 2 * math.pi, count) for _ in range(2))
     tilt = MOST_TILT_RAD * rng.random(count)
     axis = np.stack([np.cos(towards), np.sin(towards), np.zeros(count)], axis=-1)
@@ -85,10 +78,9 @@ def _place_shapes(shapes: tuple[Shape, ...]) -> list[trimesh.Trimesh]:
     placed = []
     for i in range(ROWS * COLUMNS):
         row, column = divmod(i, COLUMNS)
-        kind = (column + 2 * row) % len(shapes)
         radius_m = 0.5 * PITCH_M * SCALES[(row + column // 2) % len(SCALES)]
         height_m = HEIGHTS_M[(row + column) % len(HEIGHTS_M)]
-        solid = shapes[kind](radius_m, height_m)
+        solid = shapes[(column + 2 * row) % len(shapes)](radius_m, height_m)
         solid.apply_transform(make_transform(rotation_about([1, 0, 0], LEANS_RAD[i % len(LEANS_RAD)]), np.zeros(3)))
         x_m, y_m = (column - (COLUMNS - 1) / 2) * PITCH_M, (row - (ROWS - 1) / 2) * PITCH_M
         centre = [x_m, y_m, height_m - solid.bounds[1, 2]]
@@ -97,13 +89,14 @@ def _place_shapes(shapes: tuple[Shape, ...]) -> list[trimesh.Trimesh]:
     return placed
 
 
-def _make_cylinder(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    return _wrap([*_trace(radius_m, -SUNK_M), *_trace(radius_m, height_m)])
+def _stack_rings(*rings: tuple[float, float], sides: int = 64) -> trimesh.Trimesh:
+    """Return the hull of rings about z, each (radius, z), metres, with a number of `sides`."""
+    return _wrap(np.concatenate([_trace(radius_m, z_m, sides) for radius_m, z_m in rings]))
 
 
-def _make_cone(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """Make a cone with a blunt tip."""
-    return _wrap([*_trace(radius_m, -SUNK_M), *_trace(radius_m, 0.0), *_trace(0.25 * radius_m, height_m)])
+def _make_blunt(radius_m: float, height_m: float, sides: int = 64) -> trimesh.Trimesh:
+    """Make a cone or a pyramid with a blunt tip."""
+    return _stack_rings((radius_m, -SUNK_M), (radius_m, 0.0), (0.25 * radius_m, height_m), sides=sides)
 
 
 def _make_cap(radius_m: float, height_m: float) -> trimesh.Trimesh:
@@ -127,14 +120,7 @@ def _make_box(radius_m: float, height_m: float) -> trimesh.Trimesh:
     return _wrap([(a, b, z) for a in (-x, x) for b in (-y, y) for z in (-SUNK_M, height_m)])
 
 
-def _make_pyramid(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """Make a square pyramid with a blunt tip."""
-    return _wrap([*_trace(radius_m, -SUNK_M, 4), *_trace(radius_m, 0.0, 4), *_trace(0.25 * radius_m, height_m, 4)])
-
-
 def _make_ring(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    import trimesh
-
     solid: trimesh.Trimesh = trimesh.creation.annulus(0.6 * radius_m, radius_m, height_m + SUNK_M, sections=64)
     solid.apply_translation([0, 0, (height_m - SUNK_M) / 2])
     return solid
@@ -148,28 +134,21 @@ def _make_ridge(radius_m: float, height_m: float) -> trimesh.Trimesh:
     return _wrap([(x, y, z) for x in (-0.85 * radius_m, 0.85 * radius_m) for y, z in profile])
 
 
-def _make_rod(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    """Make a horizontal rod with round ends."""
-    return _make_capsule(radius_m, 0.3 * radius_m, height_m, 0.0)
+def _make_rod(half_length_m: float, height_m: float, radius_m: float, aside_m: float = 0.0) -> trimesh.Trimesh:
+    """Make a horizontal rod with round ends, whose top is at `height_m`, with straight walls below the rod's axis."""
+    hemisphere = [_trace(math.cos(a), math.sin(a), 32) for a in np.linspace(0, math.pi / 2, 9)]
+    ball, x = radius_m * np.concatenate(hemisphere), half_length_m - radius_m
+    upper = np.concatenate([ball + np.array([end, aside_m, height_m - radius_m]) for end in (-x, x)])
+    return _wrap([*upper, *(upper * [1, 1, 0] - [0, 0, SUNK_M])])
 
 
 def _make_rods(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """Make two parallel horizontal rods of different lengths with a narrow gap between them."""
     rods = ((radius_m, -1), (0.7 * radius_m, 1))
-    return _join(*(_make_capsule(x, 0.25 * radius_m, height_m, s * 0.28 * radius_m) for x, s in rods))
-
-
-def _make_capsule(half_length_m: float, radius_m: float, height_m: float, aside_m: float) -> trimesh.Trimesh:
-    """Make a horizontal rod whose top is at `height_m`, with straight walls below the rod's axis."""
-    ball = radius_m * _trace_hemisphere()
-    x = half_length_m - radius_m
-    upper = np.concatenate([ball + np.array([end, aside_m, height_m - radius_m]) for end in (-x, x)])
-    return _wrap([*upper, *(upper * [1, 1, 0] - [0, 0, SUNK_M])])
+    return _join(*(_make_rod(x, height_m, 0.25 * radius_m, s * 0.28 * radius_m) for x, s in rods))
 
 
 def _make_torus(radius_m: float, height_m: float) -> trimesh.Trimesh:
-    import trimesh
-
     thick = 0.25 * radius_m
     solid: trimesh.Trimesh = trimesh.creation.torus(radius_m - thick, thick, major_sections=48, minor_sections=24)
     solid.apply_transform(np.diag([1, 1, (height_m + SUNK_M) / (2 * thick), 1]))
@@ -180,7 +159,27 @@ def _make_torus(radius_m: float, height_m: float) -> trimesh.Trimesh:
 def _make_steps(radius_m: float, height_m: float) -> trimesh.Trimesh:
     """Make a hexagonal prism with a lower, wider prism around it."""
     sizes = ((radius_m, height_m - 0.0008), (0.6 * radius_m, height_m))
-    return _join(*(_wrap([*_trace(r, -SUNK_M, 6), *_trace(r, z, 6)]) for r, z in sizes))
+    return _join(*(_stack_rings((r, -SUNK_M), (r, z), sides=6) for r, z in sizes))
+
+
+BOARDS: tuple[tuple[Shape, ...], ...] = (
+    (
+        lambda radius_m, height_m: _stack_rings((radius_m, -SUNK_M), (radius_m, height_m)),
+        _make_box,
+        _make_blunt,
+        _make_cap,
+        _make_rods,
+        _make_slotted,
+    ),
+    (
+        lambda radius_m, height_m: _make_blunt(radius_m, height_m, sides=4),
+        _make_ring,
+        _make_ridge,
+        _make_steps,
+        lambda radius_m, height_m: _make_rod(radius_m, height_m, 0.3 * radius_m),
+        _make_torus,
+    ),
+)
 
 
 def _trace(radius_m: float, z_m: float, points: int = 64) -> NDArray[np.float64]:
@@ -189,20 +188,11 @@ def _trace(radius_m: float, z_m: float, points: int = 64) -> NDArray[np.float64]
     return np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle), np.full(points, z_m)], axis=1)
 
 
-def _trace_hemisphere() -> NDArray[np.float64]:
-    """Return points (P, 3) of the upper half of a unit sphere."""
-    return np.concatenate([_trace(math.cos(a), math.sin(a), 32) for a in np.linspace(0, math.pi / 2, 9)])
-
-
 def _join(*solids: trimesh.Trimesh) -> trimesh.Trimesh:
-    import trimesh
-
     return cast("trimesh.Trimesh", trimesh.util.concatenate(list(solids)))
 
 
 def _wrap(points_m: ArrayLike) -> trimesh.Trimesh:
     """Return the convex hull of points (P, 3), metres."""
-    import trimesh
-
     hull: trimesh.Trimesh = trimesh.Trimesh(np.asarray(points_m, float), process=False).convex_hull
     return hull

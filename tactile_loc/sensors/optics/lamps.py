@@ -2,22 +2,27 @@
 
 Angles and directions refer to the image: x right, y down, and elevation from the sensing surface towards the camera.
 Lengths in the housing are in units of the field's radius, which is half the sensing rectangle's diagonal. The same
-optics therefore fit sensors of every size. Lengths on the surface are in metres.
+optics therefore fit sensors of every size. Lengths on the surface are in metres. Impossible values raise pydantic's
+ValidationError.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import replace
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, TypeAdapter
+from pydantic.dataclasses import dataclass
 
 from tactile_loc.core.runtime.errors import ConfigError, advise_choice
 
-Vector = tuple[float, float, float]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Colour = tuple[Share, Share, Share]
 
 NEAREST = 1.2  # least distance of a lamp, field radii; the model of a lamp does not hold directly above the gel
 
@@ -29,31 +34,17 @@ class Light:
     `direction` (3,) points from the middle of the surface to the lamp: x right, y down, z to the camera. `colour` (3,)
     is the lamp's red, green and blue as the camera records them. `strength` is the brightness, as a share of full
     white, of a surface in the middle of the field that faces the lamp. `distance` is in field radii. The light falls
-    off with the inverse square of the distance, and a lamp at infinity gives even light. Raises ConfigError for
-    impossible values.
+    off with the inverse square of the distance. A lamp without a distance is infinitely far, and gives even light.
     """
 
-    direction: Vector
-    colour: Vector
-    strength: float
-    distance: float = math.inf
-
-    def __post_init__(self) -> None:
-        _require_triple("a light's direction", self.direction)
-        _require_triple("a light's colour", self.colour)
-        _require_share("a light's colour", min(self.colour))
-        _require_share("a light's strength", self.strength)
-        if not self.direction[2] > 0:
-            raise ConfigError(
-                f"a light's direction is {self.direction}, behind the gel; its third number must be positive, towards "
-                "the camera"
-            )
-        if not self.distance >= NEAREST:
-            raise ConfigError(f"a light's distance is {self.distance} field radii; it must be at least {NEAREST}")
+    direction: tuple[Finite, Finite, Positive]
+    colour: Colour
+    strength: Share
+    distance: Annotated[float, Field(ge=NEAREST, allow_inf_nan=False)] | None = None
 
     @classmethod
     def at(
-        cls, azimuth_rad: float, elevation_rad: float, colour: Vector, strength: float, distance: float = math.inf
+        cls, azimuth_rad: float, elevation_rad: float, colour: Colour, strength: float, distance: float | None = None
     ) -> Light:
         """Return the light with an azimuth, from image right towards image down, and an elevation, both in radians."""
         flat = math.cos(elevation_rad)
@@ -72,14 +63,15 @@ class Light:
 
     def vary(self, rng: np.random.Generator, strength: float) -> Light:
         """Return a random variant of the light; `strength` 1 (unitless) is the usual spread between sensors."""
-        elevation = self.elevation_rad + strength * math.radians(3) * rng.normal()
-        red, green, blue = (c * math.exp(0.1 * strength * rng.normal()) for c in self.colour)
+        up, *colour, turned, brighter, farther = strength * rng.normal(size=7)
+        elevation = self.elevation_rad + math.radians(3) * up
+        red, green, blue = (c * math.exp(0.1 * spread) for c, spread in zip(self.colour, colour, strict=True))
         return Light.at(
-            self.azimuth_rad + strength * math.radians(6) * rng.normal(),
+            self.azimuth_rad + math.radians(6) * turned,
             min(max(elevation, math.radians(5)), math.radians(89)),
             (red, green, blue),
-            self.strength * math.exp(0.15 * strength * rng.normal()),
-            max(NEAREST, self.distance * math.exp(0.15 * strength * rng.normal())),
+            self.strength * math.exp(0.15 * brighter),
+            self.distance and max(NEAREST, self.distance * math.exp(0.15 * farther)),
         )
 
 
@@ -92,69 +84,38 @@ class Optics:
     Blinn and Phong: the reflected share of each light, and the exponent. `vignetting` is the share of light lost at the
     field's radius. `blur_m` is the standard deviation of the lens's blur on the surface, metres. `read_noise` is the
     standard deviation of every pixel's noise, 8-bit counts. `shot_noise` is that of the additional noise of a full
-    white pixel. Raises ConfigError for impossible values.
+    white pixel.
     """
 
-    lights: tuple[Light, ...]
-    ambient: Vector = (0.0, 0.0, 0.0)
-    dome: float = 0.0
-    specular: float = 0.0
-    shininess: float = 20.0
-    vignetting: float = 0.0
-    blur_m: float = 0.0
-    read_noise: float = 0.0
-    shot_noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.lights:
-            raise ConfigError("the optics have no lights; give at least one")
-        _require_triple("the optics' ambient", self.ambient)
-        for name in ("specular", "shininess", "vignetting", "blur_m", "read_noise", "shot_noise"):
-            _require_share(f"the optics' {name}", getattr(self, name))
-        _require_share("the optics' ambient", min(self.ambient))
-        if not math.isfinite(self.dome):
-            raise ConfigError(f"the optics' dome is {self.dome}; it must be a number")
-        if self.vignetting > 1:
-            raise ConfigError(f"the optics' vignetting is {self.vignetting}; it must be from 0 to 1")
+    lights: Annotated[tuple[Light, ...], Field(min_length=1)]
+    ambient: Colour = (0.0, 0.0, 0.0)
+    dome: Finite = 0.0
+    specular: Share = 0.0
+    shininess: Share = 20.0
+    vignetting: Annotated[float, Field(ge=0, le=1)] = 0.0
+    blur_m: Share = 0.0
+    read_noise: Share = 0.0
+    shot_noise: Share = 0.0
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings as JSON values that identify the optics. An infinite distance becomes None."""
-        lights = [
-            {
-                **asdict(v),
-                "direction": list(v.direction),
-                "colour": list(v.colour),
-                "distance": v.distance if math.isfinite(v.distance) else None,
-            }
-            for v in self.lights
-        ]
-        return {**asdict(self), "lights": lights, "ambient": list(self.ambient)}
+        """Return the settings as JSON values that identify the optics."""
+        described: dict[str, Any] = TypeAdapter(Optics).dump_python(self, mode="json")
+        return described
 
     @classmethod
     def parse(cls, described: Mapping[str, Any]) -> Optics:
-        """Return optics from the values of `describe`. Raises KeyError or TypeError for other values."""
-        lights = tuple(
-            Light(
-                tuple(v["direction"]),
-                tuple(v["colour"]),
-                v["strength"],
-                math.inf if v["distance"] is None else v["distance"],
-            )
-            for v in described["lights"]
-        )
-        return cls(**{**described, "lights": lights, "ambient": tuple(described["ambient"])})
+        """Return optics from the values of `describe`. Raises ValidationError for other values."""
+        return TypeAdapter(cls).validate_python(described)
 
     def remove_noise(self) -> Optics:
         """Return the same optics without the camera's noise."""
-        return dataclasses.replace(self, read_noise=0.0, shot_noise=0.0)
+        return replace(self, read_noise=0.0, shot_noise=0.0)
 
     def vary(self, rng: np.random.Generator, strength: float = 1.0) -> Optics:
         """Return random optics, as another sensor of this make may have: lights, exposure, dome, blur and noise differ.
 
-        `strength` (unitless) scales the spread: 0 gives the same optics, 1 the usual spread. Raises ConfigError for a
-        negative strength.
+        `strength` (unitless) scales the spread: 0 gives the same optics, 1 the usual spread.
         """
-        _require_share("the optics' variation", strength)
         if strength == 0:
             return self
 
@@ -164,9 +125,9 @@ class Optics:
         exposure = scaled(1.0, 0.1)
         lights = tuple(light.vary(rng, strength) for light in self.lights)
         red, green, blue = (exposure * scaled(a, 0.2) for a in self.ambient)
-        return dataclasses.replace(
+        return replace(
             self,
-            lights=tuple(dataclasses.replace(light, strength=exposure * light.strength) for light in lights),
+            lights=tuple(replace(light, strength=exposure * light.strength) for light in lights),
             ambient=(red, green, blue),
             dome=scaled(self.dome, 0.3),
             specular=scaled(self.specular, 0.2),
@@ -177,22 +138,9 @@ class Optics:
         )
 
 
-def _require_triple(name: str, values: Vector) -> None:
-    if len(values) != 3 or not all(math.isfinite(v) for v in values):
-        raise ConfigError(f"{name} is {values}; it must be three numbers")
-
-
-def _require_share(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value >= 0):
-        raise ConfigError(f"{name} is {value}; it must be zero or positive")
-
-
-def _arrange(*lamps: tuple[float, float, float, Vector], distance: float = math.inf) -> tuple[Light, ...]:
-    """Return the lights of `lamps`, each (azimuth, elevation, strength, colour), at one distance in field radii.
-
-    Angles are in degrees.
-    """
-    return tuple(Light.at(math.radians(a), math.radians(e), c, s, distance) for a, e, s, c in lamps)
+def _arrange(*lamps: tuple[float, float, float, Colour]) -> tuple[Light, ...]:
+    """Return the distant lights of `lamps`, each (azimuth, elevation, strength, colour), angles in degrees."""
+    return tuple(Light.at(math.radians(a), math.radians(e), c, s) for a, e, s, c in lamps)
 
 
 GENERIC = "gelslim"
@@ -228,13 +176,13 @@ OPTICS = {  # matched to photos of balls pressed into one sensor of each make; o
 }
 
 
-def find_optics(name: str) -> Optics:
-    """Return the optics named gelslim, gelsight-mini or digit. Raises ConfigError for another name."""
+def choose_optics(sensor: str, name: str | None = None) -> Optics:
+    """Return the optics called `name`: gelslim, gelsight-mini or digit. Raises ConfigError for another name.
+
+    By default, return those of a named sensor, or generic optics for another sensor.
+    """
+    if name is None:
+        return OPTICS.get(sensor, OPTICS[GENERIC])
     if name not in OPTICS:
         raise ConfigError(f"there are no optics {name!r}; {advise_choice(name, OPTICS)}")
     return OPTICS[name]
-
-
-def choose_optics(sensor: str) -> Optics:
-    """Return the optics of a named sensor, or generic optics for another sensor."""
-    return OPTICS.get(sensor, OPTICS[GENERIC])

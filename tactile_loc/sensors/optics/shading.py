@@ -31,16 +31,10 @@ def render_images(
 
     `background` (H, W, 3) uint8 is a photo of the unpressed sensor. If it is given, the simulated change is added to
     the photo. Outside the sensing rectangle, a press changes pixels only by the lens's blur. Raises ConfigError for
-    images that do not fit the sensor.
+    a photo that does not fit the sensor.
     """
-    indentation = np.asarray(indentation_m, np.float32)
-    if indentation.ndim != 3 or indentation.shape[1:] != geometry.shape:
-        raise ConfigError(
-            f"indentations of shape {indentation.shape} do not fit the sensor; give (N, H, W) with (H, W) = "
-            f"{geometry.shape}"
-        )
     field = _Field(geometry)
-    counts = field.compute_brightness(indentation, optics)
+    counts = field.compute_brightness(np.asarray(indentation_m, np.float32), optics)
     if background is not None:
         unpressed = field.compute_brightness(np.zeros((1, *geometry.shape), np.float32), optics)
         counts += _check_photo(background, geometry) - unpressed
@@ -131,7 +125,7 @@ class _Field:
         All four broadcast to (H, W). The fall-off is 1 in the middle of the field.
         """
         direction = np.asarray(light.direction, np.float64) / np.linalg.norm(light.direction)
-        if math.isinf(light.distance):
+        if light.distance is None:
             x, y, z = (np.float32(v) for v in direction)
             return x, y, z, np.float32(1)
         lamp = (light.distance * direction).astype(np.float32)

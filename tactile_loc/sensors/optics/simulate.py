@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_loc.core.runtime.errors import ConfigError, TouchError
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.gel_surface import deform_gel
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -71,11 +71,9 @@ def press_boards(
     """Yield `count` presses of the calibration boards in batches of at most `BATCH`, alternating between the boards.
 
     Poses are drawn by `draw_board_poses` and brought to contact. They do not depend on the optics. Press depths are
-    drawn uniformly between `LIGHTEST` of the maximal depth and the maximal depth. Raises ConfigError for a negative
-    count, and TouchError when hardly any press leaves an imprint.
+    drawn uniformly between `LIGHTEST` of the maximal depth and the maximal depth. Raises TouchError when hardly any
+    press leaves an imprint.
     """
-    if count < 0:
-        raise ConfigError(f"the number of presses is {count}; it must be zero or positive")
     camera = rng.spawn(1)[0]  # a separate stream, so the camera's noise does not change the presses
     scenes = [Scene(make_board(number), geometry, renderer) for number in (1, 2)]
     for i in range(math.ceil(count / BATCH)):

@@ -16,6 +16,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from pydantic import Field
+from safetensors import safe_open
+from safetensors.torch import save_file
 from torch import nn
 
 from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
@@ -224,8 +226,6 @@ class CnnTrainer:
         return self.recipe.rate * (0.505 + 0.495 * math.cos(math.pi * epochs_done / self.recipe.epochs))
 
     def _save_checkpoint(self) -> None:
-        from safetensors.torch import save_file
-
         tensors = {f"network.{k}": v for k, v in self.network.state_dict().items()}
         for number, state in self.optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{number}.{k}": torch.as_tensor(v) for k, v in state.items()}
@@ -233,8 +233,6 @@ class CnnTrainer:
         self.checkpoints.save(lambda path: save_file(copies, path, {"epoch": str(self.epoch)}))
 
     def _resume(self) -> None:
-        from safetensors import safe_open
-
         path = self.checkpoints.load()
         if path is None:
             return

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import CalibrationError, MissingLibraryError, WeightsError, advise_choice
 from tactile_loc.core.runtime.options import ComponentOptions
@@ -144,8 +145,6 @@ def stack_fixed_features(background: Image, geometry: SensorGeometry) -> Float32
 
     The values are between -1 and 1.
     """
-    from scipy.ndimage import gaussian_filter
-
     sigma = BACKGROUND_M / geometry.pixel_pitch_m
     colour = gaussian_filter(background.astype(np.float32), (sigma, sigma, 0), mode="nearest") / 127.5 - 1
     height, width = geometry.shape

@@ -18,6 +18,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as Picture
+from scipy.ndimage import binary_dilation, gaussian_filter, gaussian_laplace, maximum_filter
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import diags_array, eye_array, kron
+from scipy.sparse.linalg import splu
+from scipy.spatial import KDTree
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
@@ -165,8 +171,6 @@ def measure_shade(image: Image) -> Float32:
 
 def _find_blobs(shade: Float32, sigma: float) -> tuple[Array, Array]:
     """Return the places (N, 2) of dark blobs, pixels, and their shades (N,)."""
-    from scipy.ndimage import gaussian_laplace, maximum_filter
-
     answer = -DISC * sigma**2 * gaussian_laplace(shade, sigma, mode="reflect", truncate=3.5)
     highest = maximum_filter(answer, 2 * max(1, round(sigma)) + 1)
     rows, columns = np.nonzero((answer == highest) & (answer > FAINT * LEAST_DEPTH))
@@ -182,16 +186,12 @@ def _find_blobs(shade: Float32, sigma: float) -> tuple[Array, Array]:
 
 def _find_neighbours(places: Array) -> tuple[Array, NDArray[np.intp]]:
     """Return the distance (N,) of each place from its nearest neighbour, and the neighbour's number (N,)."""
-    from scipy.spatial import KDTree
-
     distances, numbers = KDTree(places).query(places, k=2)
     return np.asarray(distances[:, 1]), np.asarray(numbers[:, 1])
 
 
 def _is_lattice(places: Array, shape: tuple[int, ...]) -> bool:
     """Return whether places (N, 2) are evenly spaced, fill the image, and mostly have opposite neighbours."""
-    from scipy.spatial import KDTree
-
     if len(places) < FEWEST:
         return False
     distances, nearest = _find_neighbours(places)
@@ -206,8 +206,6 @@ def _is_lattice(places: Array, shape: tuple[int, ...]) -> bool:
 
 def _complete_lattice(centres: Array, faint: Array, shape: tuple[int, ...]) -> Array:
     """Return the centres (N, 2), and those of the faint blobs (M, 2) that continue the lattice."""
-    from scipy.spatial import KDTree
-
     spacing = float(np.median(_find_neighbours(centres)[0]))
     while len(faint := faint[KDTree(centres).query(faint)[0] > OVERLAP * spacing]):
         fits = KDTree(_extrapolate(centres)).query(faint)[0] < ASIDE * spacing
@@ -219,16 +217,12 @@ def _complete_lattice(centres: Array, faint: Array, shape: tuple[int, ...]) -> A
 
 def _extrapolate(centres: Array) -> Array:
     """Return the places (M, 2) opposite to the nearest neighbours of the centres (N, 2) of a lattice."""
-    from scipy.spatial import KDTree
-
     near = KDTree(centres).query(centres, k=5)[1][:, 1:]
     return np.asarray((2 * centres[:, None] - centres[near]).reshape(-1, 2))
 
 
 def _add_border(centres: Array, radius: float, spacing: float, shape: tuple[int, ...]) -> Array:
     """Return the centres (N, 2), and those of dots beyond the image's border that are partly in the image."""
-    from scipy.spatial import KDTree
-
     expected = _extrapolate(centres)
     outside = np.maximum(-expected, expected - shape[::-1]).max(axis=1)
     for place in expected[(outside > -1) & (outside < radius)]:
@@ -250,16 +244,12 @@ def _measure_radius(shade: Float32, centres: Array, spacing: float) -> float:
 
 def _smooth_between(values: Float32, seen: Mask, sigma: float) -> Float32:
     """Return the Gaussian mean (H, W) of the values (H, W) at the pixels that are seen (H, W)."""
-    from scipy.ndimage import gaussian_filter
-
     weights = gaussian_filter(seen.astype(np.float32), sigma)
     return np.asarray(gaussian_filter(np.where(seen, values, np.float32(0)), sigma) / np.maximum(weights, 1e-6))
 
 
 def _measure_distances(centres: Array, shape: tuple[int, ...]) -> Array:
     """Return the distance (H, W) of each pixel from the nearest of the centres (N, 2), pixels."""
-    from scipy.spatial import KDTree
-
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
     return np.asarray(KDTree(centres).query(np.stack([x.ravel(), y.ravel()], axis=1))[0].reshape(shape))
 
@@ -270,8 +260,6 @@ def match_dots(image: Image, dots: Dots) -> Array:
     Each dot is matched with at most one dark blob within REACH, so that the moves are small. A dot without a blob
     counts as unmoved.
     """
-    from scipy.optimize import linear_sum_assignment
-
     places, depths = _find_blobs(measure_shade(image), dots.sigma_px)
     dark = depths > FAINT * dots.depth
     places, depths = places[dark], depths[dark]
@@ -289,8 +277,6 @@ def mark_dots(image: Image, dots: Dots) -> Mask:
 
     Dots are stretched with the surface. Therefore pixels beside a dot count if they are darker than the gel around it.
     """
-    from scipy.ndimage import binary_dilation
-
     away = _measure_distances(match_dots(image, dots), dots.shape)
     hidden, near = away < dots.radius_px, away < STRETCH * dots.radius_px + 1
     shade, least = measure_shade(image), max(DARKER * dots.depth, NOISE)
@@ -306,8 +292,6 @@ def continue_values(values: Float32, hidden: Mask, bent: bool = True) -> Float32
     The surface is the thin plate with the least bending. If `bent` is False, it is a membrane, which has less noise.
     The values are 0 if all pixels are hidden.
     """
-    from scipy.sparse.linalg import splu
-
     seen = np.where(hidden[..., None], np.float32(0), values)
     inside = hidden.ravel()
     if inside.all() or not inside.any():
@@ -322,7 +306,6 @@ def continue_values(values: Float32, hidden: Mask, bent: bool = True) -> Float32
 @lru_cache(maxsize=8)
 def _make_stencils(shape: tuple[int, int], bent: bool) -> Any:
     """Return a sparse matrix (H W, H W): the Laplacian of an image with free borders, or its square if `bent`."""
-    from scipy.sparse import diags_array, eye_array, kron
 
     def chain(count: int) -> Any:
         ends = np.full(count, 2.0)
@@ -336,15 +319,11 @@ def _make_stencils(shape: tuple[int, int], bent: bool) -> Any:
 
 def _widen(hidden: Mask, times: int) -> Mask:
     """Widen the hidden pixels (h, w) of a reduced image, whose pixels at a dot's border are partly darkened."""
-    from scipy.ndimage import binary_dilation
-
     return np.asarray(binary_dilation(hidden)) if times > 1 else hidden
 
 
 def _enlarge(values: Float32 | Mask, image: Image | Float32) -> Any:
     """Return values (h, w, C) or a mask (h, w) at the size of an image (H, W, 3); a mask gets a third axis."""
-    from PIL import Image as Picture
-
     size = image.shape[1::-1]
     planes = np.atleast_3d(values)
     if planes.shape[1::-1] == size:

@@ -13,6 +13,7 @@ import math
 import numpy as np
 import torch
 from pydantic import Field
+from scipy.ndimage import gaussian_filter
 from torch import nn
 
 from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
@@ -111,8 +112,6 @@ class PhotometricEstimator(GelEstimator):
         return find_indentation(slopes, self.geometry), slopes
 
     def _stack_features(self, image: Image) -> Float32:
-        from scipy.ndimage import gaussian_filter
-
         planes = np.ascontiguousarray(np.moveaxis(scale_difference(image, self.untouched), -1, 0))  # twice as fast
         smooth = [gaussian_filter(planes, (0, s, s), mode="nearest", truncate=3) for s in SMOOTHINGS_PX]
         return np.concatenate([np.moveaxis(np.concatenate(smooth), 0, -1), self._fixed], axis=-1)

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as Picture
+from scipy.ndimage import binary_opening, gaussian_filter, gaussian_laplace, label
 
 from tactile_loc.core.runtime.errors import NoContactError, TouchError, mention_source
 from tactile_loc.core.sensing.gel import Gel
@@ -45,8 +47,6 @@ STRANGE = 22  # largest median difference from the untouched gel, counts; presse
 
 def reduce_image(image: Image, shape: tuple[int, int]) -> Image:
     """Return an image (H, W, 3) at a smaller size (rows, columns), by averaging over the area of each new pixel."""
-    from PIL import Image as Picture
-
     if image.shape[:2] == shape:
         return image
     return np.asarray(Picture.fromarray(image).resize(shape[::-1], Picture.Resampling.BOX))
@@ -212,8 +212,6 @@ def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: S
     opposite way: its slope is more than HANGING_M times its curvature. At a steep wall of the object, the contact ends
     at the wall's edge.
     """
-    from scipy.ndimage import binary_opening, gaussian_filter, gaussian_laplace, label
-
     pitch_m, surface = geometry.pixel_pitch_m, indentation_m.astype(np.float64)
     sigma = max(SMOOTHING_M / pitch_m, 0.5)
     slope = gaussian_filter(np.hypot(*np.gradient(surface, pitch_m)), sigma)
@@ -270,8 +268,6 @@ class Health:
 
 def measure_health(image: Image, untouched: Image, slopes: Float32 | None, geometry: SensorGeometry) -> Health:
     """Return the health of an image (H, W, 3), given the estimated `slopes` (H, W, 2), or None without slopes."""
-    from scipy.ndimage import gaussian_filter
-
     difference = np.moveaxis(image.astype(np.float32) - untouched, -1, 0)
     smooth = np.stack([gaussian_filter(plane, SMOOTHING_PX) for plane in difference])
     light = float(np.quantile(np.abs(smooth).max(axis=0)[::2, ::2], QUIETEST))

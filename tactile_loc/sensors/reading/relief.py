@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 from torch import nn
 
 from tactile_loc.core.runtime.errors import CalibrationError
@@ -128,8 +129,6 @@ def _collect_pixels(
 
 
 def _smooth_colours(image: Image) -> NDArray[np.float64]:
-    from scipy.ndimage import gaussian_filter
-
     return np.asarray(gaussian_filter(image.astype(float), (SMOOTHING_PX, SMOOTHING_PX, 0), mode="nearest"))
 
 

@@ -6,6 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dctn, idctn
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, label
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
@@ -35,8 +37,6 @@ def integrate(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray[
     The surface is the least-squares solution with free borders. It solves a Poisson equation, by a cosine transform.
     The wanted step from one pixel to the next is the mean of the slopes at the two pixels.
     """
-    from scipy.fft import dctn, idctn
-
     sx, sy = geometry.scale_at_surface
     across, down = slope[..., 0] / sx, slope[..., 1] / sy  # metres per pixel
     steps_x = np.pad(0.5 * (across[:, 1:] + across[:, :-1]), [(0, 0), (1, 1)])
@@ -75,8 +75,6 @@ def _fill_holes(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
     The function is four times as fast as scipy's binary_fill_holes.
     """
-    from scipy.ndimage import label
-
     parts, count = label(~marked)
     outside = np.zeros(count + 1, bool)
     for border in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
@@ -86,8 +84,6 @@ def _fill_holes(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _find_plateaus(steep: NDArray[np.bool_], slope: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Mark the flat parts (H, W) towards which the steep pixels (H, W) rise, if they leave enough untouched gel."""
-    from scipy.ndimage import label
-
     parts, count = label(~steep)
     rise, pixels = np.zeros(count + 1), np.zeros(count + 1)
     for along, before, after in (
@@ -105,8 +101,6 @@ def _find_plateaus(steep: NDArray[np.bool_], slope: NDArray[np.floating]) -> NDA
 
 def _measure_steepness(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray[np.float64]:
     """Return the magnitude (H, W), unitless, of the smoothed slope."""
-    from scipy.ndimage import gaussian_filter
-
     sigma = SMOOTHING_M / geometry.pixel_pitch_m
     return np.asarray(np.hypot(*(gaussian_filter(slope[..., i], sigma) for i in (0, 1))))
 
@@ -133,8 +127,6 @@ def _fit_drift(
 @lru_cache(maxsize=8)
 def _weigh_gaussian(blocks: int, sigma: float) -> NDArray[np.float64]:
     """Return the matrix (blocks, blocks) that smooths by a Gaussian of `sigma` blocks and continues border values."""
-    from scipy.ndimage import gaussian_filter1d
-
     return np.asarray(gaussian_filter1d(np.eye(blocks), sigma, axis=0, mode="nearest", truncate=6))
 
 

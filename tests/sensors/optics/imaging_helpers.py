@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import press_sets
 from press_sets import places
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -15,10 +16,9 @@ BALL_M = 4e-3
 SIDES = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "below": (0.0, 1.0), "above": (0.0, -1.0)}
 
 
-def sensor(px: int = 80, size_m: float = 0.016, **more) -> SensorGeometry:
+def sensor(px: int = 80, **more) -> SensorGeometry:
     """An orthographic sensor of a square field, 16 mm wide."""
-    k = px / size_m
-    return SensorGeometry("orthographic", px, px, k, k, px / 2, px / 2, 0.01, 2e-3, **more)
+    return press_sets.sensor(px, max_depth_m=2e-3, **more)
 
 
 def ball_depth(geometry: SensorGeometry, x_m: float = 0.0, y_m: float = 0.0) -> np.ndarray:

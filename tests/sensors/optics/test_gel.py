@@ -74,14 +74,6 @@ def test_the_surface_does_not_depend_on_the_pixel_size():
     assert coarse == pytest.approx(fine.reshape(80, 3, 80, 3).mean((1, 3)), abs=0.01 * PRESS_M)
 
 
-def test_the_surface_scales_with_the_press_and_with_the_size():
-    small, large = sensor(80, 0.016), sensor(80, 0.032)
-    surface = press_gel(tip_depth(small), presses(), small, SOFTNESS_M)
-    assert press_gel(2 * tip_depth(small), 2 * presses(), small, SOFTNESS_M) == pytest.approx(2 * surface, abs=1e-9)
-    twice = press_gel(tip_depth(large, 8e-3), presses(), large, 2 * SOFTNESS_M)
-    assert twice == pytest.approx(surface, abs=1e-9)
-
-
 def test_images_of_a_batch_are_independent_and_no_contact_leaves_no_imprint():
     geometry = sensor()
     depth = np.concatenate([tip_depth(geometry), np.full((1, 80, 80), 5e-4, np.float32), ball_depth(geometry)])
