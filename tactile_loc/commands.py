@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     # files, which are written completely or not at all
     from tactile_loc.locate.stored_object import list_mesh_files as list_mesh_files
     from tactile_loc.store.files import remove_abandoned as remove_abandoned
-    from tactile_loc.store.archives import read_member as read_member
+    from tactile_loc.store.arrays import read_member as read_member
     from tactile_loc.store.files import list_files as list_files
     from tactile_loc.store.files import replace_file as replace_file
     from tactile_loc.store.files import write_atomically as write_atomically

@@ -29,7 +29,7 @@ from tactile_loc import StageStore, reports, write_touch
 from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.labelled_touches import read_labelled_touches
+from tactile_loc.io.touch_lists import read_labelled_touches
 from tactile_loc.io.options import TUNABLE
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.touch_lists import read_touch_list

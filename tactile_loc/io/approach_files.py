@@ -22,9 +22,9 @@ from tactile_loc.io.toml import (
     list_tables,
     name_errors,
     name_pose_keys,
-    read_pose,
     read_toml,
     scale,
+    to_array,
 )
 from tactile_loc.store.files import write_text
 
@@ -105,8 +105,7 @@ def write_approaches(path: str | Path, approaches: Sequence[Approach], in_base: 
 
 def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
     """Return the start pose in the base frame, or in the previous touch's sensor frame if that touch has no pose."""
-    T = read_pose(keys, keys.T_base_sensor, "T_base_sensor")
-    motion = read_pose(PoseKeys(), keys.T_sensor_next, "T_sensor_next")
+    T, motion = keys.read_pose("T_base_sensor"), to_array(keys.T_sensor_next)
     if motion is not None:
         if T is not None:
             raise ValueError("the start pose is given twice; leave out T_sensor_next, or the pose in the base frame")

@@ -1,20 +1,11 @@
-"""Reads images and arrays from untrusted files: photos, masks, depths, .npy and .npz.
-
-Pickles are never loaded. Files that are damaged, or that state more data than they hold, are refused.
-"""
+"""Reads images from untrusted files: photos, masks and depths. Damaged files are refused, and so are large ones."""
 
 from __future__ import annotations
 
-import lzma
-import math
 import os
 import re
-import struct
-import tokenize
 import warnings
-import zipfile
-import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -25,8 +16,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.runtime.formatting import format_percent
-from tactile_loc.core.runtime.limits import MOST_BYTES, MOST_FILE_BYTES, TooLargeError, require_pixels, require_size
-from tactile_loc.store.archives import require_packing
+from tactile_loc.core.runtime.limits import MOST_FILE_BYTES, TooLargeError, require_pixels, require_size
+from tactile_loc.store.arrays import convert_damage, load_npy, measure_npy
 
 FORMATS = ".npz, .npy or 16-bit grey .png"  # formats of contact shapes
 PHOTO = "an 8-bit colour photo"
@@ -46,23 +37,6 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 COLOUR_ARRAYS = {3: "RGB", 4: "RGBA"}  # modes of photos, by the number of channels
 ORIENTATION, TRANSPOSED = 0x0112, (5, 6, 7, 8)  # tag of EXIF, and its values that exchange width and height
 TILE_WIDTH, TILE_HEIGHT = 322, 323  # tags of TIFF
-HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-LONGEST_HEADER = 2**16  # bytes of a header of .npy; one of version 2 may state 4 GiB
-DAMAGES = (
-    EOFError,
-    LookupError,
-    SyntaxError,
-    TypeError,
-    RuntimeError,
-    ArithmeticError,
-    AttributeError,
-    MemoryError,
-    lzma.LZMAError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 UNREADABLE = (OSError, ValueError, TypeError)  # errors of reading a damaged file, or of converting its arrays
 
 
@@ -186,7 +160,7 @@ def _open_picture(path: Path | IO[bytes]) -> Iterator[Any]:
     """Yield an image of Pillow, of which only the header is read. Raises OSError or ValueError as `load_image`."""
     from PIL import Image
 
-    with _convert_damage(Image.DecompressionBombError), warnings.catch_warnings():
+    with convert_damage(Image.DecompressionBombError), warnings.catch_warnings():
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MOST_PIXELS is the limit
         if isinstance(path, Path):
             require_size(path.stat().st_size, MOST_FILE_BYTES)
@@ -260,78 +234,3 @@ def summarize(error: BaseException) -> str:
     """Return an error's message in one line, or its type if it has none."""
     words = re.sub(r" ?<[^>]* object at 0x[0-9a-f]+>", "", str(error))  # Pillow names the object that it reads
     return " ".join(words.split()) or type(error).__name__
-
-
-def load_npy(path: Path) -> NDArray[Any]:
-    """Return the array of an .npy file.
-
-    Raises ValueError when the file is damaged or not .npy, and OSError when it cannot be opened.
-    """
-    measure_npy(path)
-    with path.open("rb") as file, _convert_damage():
-        array: NDArray[Any] = np.load(file, allow_pickle=False)
-    return array
-
-
-def measure_npy(path: Path) -> NDArray[Any]:
-    """Return an array without memory, with the shape and the type of that in an .npy file. Raises like `load_npy`."""
-    with path.open("rb") as file, _convert_damage():
-        return _read_header(file, path.stat().st_size)
-
-
-def load_npz(path: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an .npz file by name; only those of `names` if given.
-
-    Raises ValueError when the file is damaged, not .npz, or too large, and OSError when it cannot be opened.
-    """
-    held = measure_npz(path)
-    require_size(sum(one.nbytes for name, one in held.items() if names is None or name in names), MOST_BYTES)
-    with path.open("rb") as file, _convert_damage(), np.load(file, allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in held if names is None or name in names}
-
-
-def measure_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """Return arrays without memory, with the shapes and types of those in an .npz file. Raises like `load_npz`."""
-    with path.open("rb") as file, _convert_damage():
-        _require_magic(file, b"PK")
-        file.seek(0)
-        found = {}
-        with zipfile.ZipFile(file) as archive:
-            require_packing(archive.infolist())
-            for member in archive.infolist():
-                with archive.open(member) as stream:
-                    found[member.filename.removesuffix(".npy")] = _read_header(stream, member.file_size)
-        return found
-
-
-@contextmanager
-def _convert_damage(*others: type[Exception]) -> Iterator[None]:
-    """Convert the errors that damaged files cause in the block, DAMAGES and `others`, to ValueError."""
-    try:
-        yield
-    except DAMAGES + others as error:
-        raise ValueError(str(error) or type(error).__name__) from error
-
-
-def _read_header(file: IO[bytes], size: int) -> NDArray[Any]:
-    """Return an array without memory, with the shape and the type that the header of an .npy file states.
-
-    Raises ValueError unless the file of `size` bytes is .npy and holds all the numbers of the array.
-    """
-    _require_magic(file, np.lib.format.MAGIC_PREFIX)
-    version = tuple(file.read(2))
-    if version not in HEADERS:
-        raise ValueError(f"its .npy version {version} is unknown")
-    head = BytesIO(file.read(LONGEST_HEADER))
-    shape, _, dtype = HEADERS[version](head)
-    left, said = size - 8 - head.tell(), math.prod(shape) * dtype.itemsize
-    if dtype.hasobject:
-        raise ValueError("allow_pickle")
-    if min(shape, default=0) < 0 or dtype.itemsize == 0 or said > left:
-        raise ValueError(f"its header states {dtype} of shape {shape}, {said} bytes, but it holds {left}")
-    return np.broadcast_to(np.zeros((), dtype), shape)
-
-
-def _require_magic(file: IO[bytes], magic: bytes) -> None:
-    if file.read(len(magic)) != magic:
-        raise ValueError("it begins like another kind of file")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.geometry.lie import move_covariance
+from tactile_loc.core.geometry.rigid import require_covariance
 from tactile_loc.io.toml import (
     MATRIX,
     Finite,
@@ -23,7 +24,6 @@ from tactile_loc.io.toml import (
     format_toml,
     name_errors,
     name_pose_keys,
-    read_pose,
     read_toml,
 )
 from tactile_loc.store.files import write_text
@@ -99,8 +99,8 @@ def read_mount(path: str | Path) -> Mount:
     path, values = Path(path), read_toml(path)
     with name_errors(path, HandEyeRecord, values, "a mount"):
         keys = HandEyeRecord(**values)
-        T = read_pose(keys, keys.T_flange_sensor, "T_flange_sensor")
-        covariance = None if keys.covariance is None else _check_covariance(np.array(keys.covariance))
+        T = keys.read_pose("T_flange_sensor")
+        covariance = None if keys.covariance is None else require_covariance(keys.covariance, "covariance")
         if T is None:
             raise ValueError(f"the mount is missing; {name_pose_keys('T_flange_sensor')}")
         return Mount(T, covariance)
@@ -110,9 +110,3 @@ def write_mount(path: Path, record: HandEyeRecord) -> Path:
     """Write a mount as TOML, atomically, and return the path. Raises OutputError if that fails."""
     text = format_toml(record.model_dump(mode="json", exclude_none=True))
     return write_text(path, text)
-
-
-def _check_covariance(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    if not np.allclose(covariance, covariance.T, atol=1e-12) or np.linalg.eigvalsh(covariance).min() < 0:
-        raise ValueError("covariance must be symmetric, without a negative variance")
-    return covariance

@@ -23,7 +23,6 @@ from tactile_loc.io.toml import (
     Three,
     name_errors,
     name_pose_keys,
-    read_pose,
     read_toml,
 )
 
@@ -66,7 +65,7 @@ class _Gaussian(PoseKeys):
     )
 
     def make(self, obj: ObjectModel) -> PosePrior:
-        T = read_pose(self, self.T, "T")
+        T = self.read_pose("T")
         if T is None:
             raise ValueError(f"the pose is missing; {name_pose_keys('T')}")
         rotation_std_deg = math.inf if self.rotation_std_deg is None else self.rotation_std_deg

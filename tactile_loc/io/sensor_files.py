@@ -17,8 +17,9 @@ from tactile_loc.bases.depth_sensor import GelOptions
 from tactile_loc.core.runtime.errors import ConfigError, SensorError
 from tactile_loc.core.sensing.gel import RIGID, Gel, GelKind
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
-from tactile_loc.io.images import UNREADABLE, load_image, load_npy, write_image
+from tactile_loc.io.images import UNREADABLE, load_image, write_image
 from tactile_loc.io.toml import POSITIVE_MM, Finite, Positive, format_toml, name_errors, read_toml
+from tactile_loc.store.arrays import load_npy
 from tactile_loc.store.files import recover_folder
 
 CALIBRATION = "calibration.json"  # a file that every calibration folder holds

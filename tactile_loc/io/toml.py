@@ -9,11 +9,11 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 
 from tactile_loc.core.geometry.rigid import (
     make_transform,
@@ -26,11 +26,18 @@ from tactile_loc.core.runtime.errors import ConfigError, TactileLocError, did_yo
 from tactile_loc.core.runtime.formatting import is_unicode, show_name
 from tactile_loc.store.files import read_text
 
+Rows = list[list[float]]
+
+
+def _require_rigid(rows: Rows, info: ValidationInfo) -> Rows:
+    return cast(Rows, require_rigid(rows, str(info.field_name)).tolist())
+
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Three = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Four = Annotated[list[Finite], Field(min_length=4, max_length=4)]
-Matrix = Annotated[list[Four], Field(min_length=4, max_length=4)]
+Matrix = Annotated[list[Four], Field(min_length=4, max_length=4), AfterValidator(_require_rigid)]
 MATRIX = "four rows of four numbers (rotation without unit, translation in metres, last row 0 0 0 1)"
 POSITIVE_MM = "a positive number (mm)"
 NOT_TOML = (ValueError, RecursionError)  # tomllib raises RecursionError for deep nesting
@@ -82,25 +89,6 @@ def parse_value(text: str) -> Any:
         return text
 
 
-def explain(
-    error: ValidationError, model: type[BaseModel], values: dict[str, Any], what: str, decisive: str = ""
-) -> str:
-    """Return a message that names the first wrong key of a table, and the allowed values.
-
-    `values` is the table, whose keys are the fields of `model`. `what` names the table in the message. A wrong key
-    `decisive`, on which the other keys depend, comes first. Then come unknown keys, and then ill-typed values. A
-    field's description completes "key must be ...".
-    """
-    problems = sorted(error.errors(), key=lambda p: (p["loc"][0] != decisive, p["type"] != "extra_forbidden"))
-    key = str(problems[0]["loc"][0])
-    field = model.model_fields.get(key)
-    if field is None:
-        known = model.model_fields
-        return f"{what} has no key {key!r}.{did_you_mean(key, known)} Known: {', '.join(known)}"
-    must_be = f"it must be {field.description}"
-    return f"{key} = {quote(values[key])} is wrong; {must_be}" if key in values else f"{key} is missing; {must_be}"
-
-
 @contextmanager
 def name_errors(
     where: object,
@@ -112,12 +100,21 @@ def name_errors(
 ) -> Iterator[None]:
     """Convert errors of the block, which reads a table, to errors of class `kind` whose message begins with `where`.
 
-    The other arguments are those of `explain`.
+    `values` is the table, whose keys are the fields of `model`. `what` names the table in the message, which names the
+    first wrong key and the allowed values. A wrong key `decisive`, on which the other keys depend, comes first. Then
+    come unknown keys, and then ill-typed values. A field's description completes "key must be ...".
     """
     try:
         yield
     except ValidationError as error:
-        raise kind(f"{where}: {explain(error, model, values, what, decisive)}") from error
+        problems = sorted(error.errors(), key=lambda p: (p["loc"][0] != decisive, p["type"] != "extra_forbidden"))
+        key, fields = str(problems[0]["loc"][0]), model.model_fields
+        if key not in fields:
+            says = f"{what} has no key {key!r}.{did_you_mean(key, fields)} Known: {', '.join(fields)}"
+        else:
+            says = f"{key} = {quote(values[key])} is wrong" if key in values else f"{key} is missing"
+            says += f"; it must be {fields[key].description}"
+        raise kind(f"{where}: {says}") from error
     except (ValueError, TactileLocError) as error:
         raise kind(f"{where}: {error}") from error
 
@@ -143,25 +140,27 @@ class PoseKeys(BaseModel):
     quaternion_wxyz: Four | None = Field(default=None, description="[w, x, y, z], a unit quaternion, scalar first")
     quaternion_xyzw: Four | None = Field(default=None, description="[x, y, z, w], a unit quaternion, scalar last")
 
+    def read_pose(self, matrix: str) -> NDArray[np.float64] | None:
+        """Return the pose (4, 4), metres, that a table gives by the key `matrix` or by other keys; None if it has none.
 
-def read_pose(keys: PoseKeys, matrix: Sequence[Sequence[float]] | None, name: str) -> NDArray[np.float64] | None:
-    """Return the pose (4, 4), metres, that a table gives by a matrix or by the other keys; None if it gives no pose.
+        The other keys are one of POSITIONS_M and one of ROTATIONS. For `rpy_deg`, R = Rz(yaw) Ry(pitch) Rx(roll), as in
+        URDF. Raises ValueError or ConfigError for an incomplete pose, and for two poses.
+        """
+        given = [key for key in (*POSITIONS_M, *ROTATIONS) if getattr(self, key) is not None]
+        T = to_array(getattr(self, matrix))
+        if T is not None and given:
+            raise ValueError(f"{matrix} is the whole pose; leave out {given[0]}")
+        if T is not None or not given:
+            return T
+        position = _choose_key(given, tuple(POSITIONS_M), "position", matrix)
+        rotation = _choose_key(given, ROTATIONS, "rotation", matrix)
+        t_m = POSITIONS_M[position] * np.array(getattr(self, position), float)
+        return make_transform(_read_rotation(rotation, getattr(self, rotation)), t_m)
 
-    `matrix` is the value of the key named `name`. The other keys are one of POSITIONS_M and one of ROTATIONS. For
-    `rpy_deg`, R = Rz(yaw) Ry(pitch) Rx(roll), as in URDF. Raises ValueError or ConfigError for a
-    wrong or incomplete pose.
-    """
-    given = [key for key in (*POSITIONS_M, *ROTATIONS) if getattr(keys, key) is not None]
-    if matrix is not None:
-        if given:
-            raise ValueError(f"{name} is the whole pose; leave out {given[0]}")
-        return require_rigid(matrix, name)
-    if not given:
-        return None
-    position = _choose_key(given, tuple(POSITIONS_M), "position", name)
-    rotation = _choose_key(given, ROTATIONS, "rotation", name)
-    t_m = POSITIONS_M[position] * np.array(getattr(keys, position), float)
-    return make_transform(_read_rotation(rotation, getattr(keys, rotation)), t_m)
+
+def to_array(rows: Sequence[Sequence[float]] | None) -> NDArray[np.float64] | None:
+    """Return a matrix of a table as an array, or None if the table does not give it."""
+    return None if rows is None else np.array(rows, float)
 
 
 def name_pose_keys(matrix: str) -> str:

@@ -1,11 +1,15 @@
-"""Reads and writes a list of touches of one object as TOML: each touch's file, sensor and sensor pose."""
+"""Touches listed in a file, with sensor poses or known object poses. docs/files.md describes the formats.
+
+A list of touches of one object is TOML. Touches with known poses are such a list, a CSV table, or the poses.json of
+`simulate`.
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from tactile_loc.core.geometry.rigid import (
+    invert,
+    make_transform,
+    quaternion_to_rotation,
+    require_rigid,
+    require_unit,
+    rotation_about,
+)
 from tactile_loc.core.runtime.errors import ConfigError, TouchError, name_source
 from tactile_loc.core.sensing.depth_maps import DepthUnit, TouchKind
+from tactile_loc.io.csv_tables import Row, read_number, read_table, require_columns
 from tactile_loc.io.mount_files import Mount, read_mount
 from tactile_loc.io.sensor_files import is_calibrated_sensor
 from tactile_loc.io.toml import (
@@ -27,14 +40,20 @@ from tactile_loc.io.toml import (
     list_tables,
     name_errors,
     name_pose_keys,
-    read_pose,
     read_toml,
     scale,
+    to_array,
 )
 from tactile_loc.io.touches import read_contents
-from tactile_loc.store.files import write_text
+from tactile_loc.store.files import read_json, write_text
 
 Pose = NDArray[np.float64]
+
+NAMES = ("poses.csv", "touches.toml", "poses.json")  # looked for in a folder, in this order
+PLACE = ("x_mm", "y_mm", "z_mm")
+QUATERNION = ("qw", "qx", "qy", "qz")
+TURN = ("turn_deg", "axis_x", "axis_y", "axis_z")
+REST_M = 2e-3  # poses of one object at rest that differ by more are contradictory
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +64,7 @@ class ListedTouch:
     and `kind` their meaning.
     `T_base_sensor` (4, 4), metres, comes from the list, or from the flange's pose `T_base_flange` (4, 4) and `mount`,
     or from the touch's file. `T_base_sensor_std_m` and `T_base_sensor_std_rad` are the standard deviations of the
-    pose's error, without the error of the mount. `T_sensor_object` (4, 4), metres, is the true pose, for evaluations.
+    pose's error, without the error of the mount. `T_sensor_object` (4, 4), metres, is the known pose, for evaluations.
     """
 
     path: Path
@@ -59,6 +78,9 @@ class ListedTouch:
     mount: Mount | None = None
     kind: TouchKind | None = None
     T_sensor_object: Pose | None = None
+
+
+Example = tuple[ListedTouch, ...]  # touches of one object at rest
 
 
 class _TouchTable(PoseKeys):
@@ -124,15 +146,14 @@ def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange
     file = folder / keys.path
     if not os.path.isfile(file):
         raise ValueError(f"there is no file {file}; check the path, which is relative to the list")
-    T = read_pose(keys, keys.T_base_sensor, "T_base_sensor")
-    F = read_pose(PoseKeys(), keys.T_base_flange, "T_base_flange")
+    T, F = keys.read_pose("T_base_sensor"), to_array(keys.T_base_flange)
     used = None if of_flange else _choose_mount(keys, folder, mount)
     if used is not None and F is not None:
         if T is not None:
             raise ValueError("the sensor's pose is given twice; leave out T_base_flange, or the pose of the sensor")
         T = F @ used.T_flange_sensor
     if T is None and file.suffix.lower() == ".npz":
-        T = read_contents(file).T_base_sensor
+        T = to_array(read_contents(file).T_base_sensor)
     return ListedTouch(
         file,
         _find_sensor(keys.sensor, folder),
@@ -144,7 +165,7 @@ def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange
         F,
         used,
         keys.kind,
-        read_pose(PoseKeys(), keys.T_sensor_object, "T_sensor_object"),
+        to_array(keys.T_sensor_object),
     )
 
 
@@ -180,3 +201,115 @@ def _find_sensor(sensor: str | None, folder: Path) -> str | None:
     if is_path:
         raise ValueError(f"there is no sensor {place}; check the path, which is relative to the list")
     return sensor
+
+
+def read_labelled_touches(path: str | Path) -> tuple[Example, ...]:
+    """Read touches with known poses `T_sensor_object`, as examples of one or several touches of one object at rest.
+
+    `path` is a .csv table, a poses.json, a list of touches (.toml, one example), or a folder with poses.csv,
+    touches.toml or poses.json. Raises TouchError when a file, a column or a pose is missing or wrong.
+    """
+    path = _find_table(Path(path))
+    readers = {".csv": _read_csv, ".json": _read_poses, ".toml": _read_list}
+    read = readers.get(path.suffix.lower())
+    if read is None:
+        raise TouchError(f"{path} does not give touches with poses; give a .csv table, a poses.json, or a list (.toml)")
+    return tuple(read(path))
+
+
+def _find_table(path: Path) -> Path:
+    if os.path.isdir(path):
+        found = [path / name for name in NAMES if (path / name).is_file()]
+        if not found:
+            raise TouchError(
+                f"{path} has no {', '.join(NAMES[:-1])} or {NAMES[-1]}; give its touches' poses in such a file"
+            )
+        return found[0]
+    if not os.path.isfile(path):
+        raise TouchError(f"there is no file {path}; check the path")
+    return path
+
+
+def _read_csv(path: Path) -> list[Example]:
+    table = read_table(path, "touch", TouchError)
+    columns = table.columns
+    rotation = QUATERNION if set(QUATERNION) & set(columns) or not set(TURN) & set(columns) else TURN
+    advice = f"; needed are touch, {', '.join(PLACE)}, and {', '.join(QUATERNION)} or {', '.join(TURN)}"
+    require_columns(path, columns, ("touch", *PLACE, *rotation), TouchError, advice)
+    examples: dict[str, list[ListedTouch]] = {}
+    for number, row in enumerate(table.rows, start=1):
+        with name_source(f"{path}, row {number}"):
+            name = row.get("example") or f"row {number}"
+            examples.setdefault(name, []).append(_read_row(path.parent, row, rotation))
+    return [tuple(touches) for touches in examples.values()]
+
+
+def _read_row(folder: Path, row: Row, rotation: Sequence[str]) -> ListedTouch:
+    file = _require_touch(folder, row["touch"])
+    place_m = 1e-3 * np.array([read_number(row, name, TouchError) for name in PLACE])
+    numbers = np.array([read_number(row, name, TouchError) for name in rotation])
+    if rotation == QUATERNION:
+        R = quaternion_to_rotation(require_unit(numbers, "the quaternion", TouchError))
+    else:
+        R = rotation_about(require_unit(numbers[1:], "the axis", TouchError), np.radians(numbers[0]))
+    return ListedTouch(file, T_sensor_object=make_transform(R, place_m))
+
+
+def _require_touch(folder: Path, name: str) -> Path:
+    if not name.strip():
+        raise TouchError("the touch's file is missing; give it in the column 'touch'")
+    file = folder / name.strip()
+    if not os.path.isfile(file):
+        raise TouchError(f"there is no file {file}; check the path, which is relative to the table")
+    return file
+
+
+def _read_poses(path: Path) -> Iterator[Example]:
+    """Read the poses.json of `simulate`. Each touch is an example of its own."""
+    try:
+        values = read_json(path)
+    except (OSError, ValueError) as error:
+        raise TouchError(f"{path} is not JSON ({error}); give the poses.json that simulate wrote") from error
+    poses = values.get("T_sensor_object") if isinstance(values, dict) else None
+    if not isinstance(poses, dict) or not poses:
+        raise TouchError(f"{path} has no T_sensor_object for each touch; give the poses.json that simulate wrote")
+    for name, T in poses.items():
+        with name_source(f"{path}, {name}"):
+            file = _require_touch(path.parent, f"{name}.npz")
+            yield (ListedTouch(file, T_sensor_object=require_rigid(T, "T_sensor_object", TouchError)),)
+
+
+def _read_list(path: Path) -> list[Example]:
+    """Read a list of touches as one example. Touches whose pose is missing get it from the sensors' poses."""
+    touches = [_find_pose(one) for one in read_touch_list(path)]
+    bases = [
+        T_base_sensor @ T
+        for one in touches
+        if (T := one.T_sensor_object) is not None and (T_base_sensor := one.T_base_sensor) is not None
+    ]
+    for index, one in enumerate(touches):
+        if one.T_sensor_object is None:
+            if not bases or one.T_base_sensor is None:
+                raise TouchError(
+                    f"{path}, touch {index + 1}: the true pose is missing; give T_sensor_object (four rows, metres)"
+                )
+            touches[index] = replace(one, T_sensor_object=invert(one.T_base_sensor) @ bases[0])
+    _require_rest(path, bases)
+    return [tuple(touches)]
+
+
+def _find_pose(listed: ListedTouch) -> ListedTouch:
+    """Return a touch with the known pose that its file gives, if the list does not give it."""
+    if listed.T_sensor_object is not None or listed.path.suffix.lower() != ".npz":
+        return listed
+    return replace(listed, T_sensor_object=to_array(read_contents(listed.path).T_sensor_object))
+
+
+def _require_rest(path: Path, bases: Sequence[Pose]) -> None:
+    """Raise TouchError if the poses and the sensors' poses put the object at different places."""
+    apart_m = max((float(np.linalg.norm(T[:3, 3] - bases[0][:3, 3])) for T in bases), default=0.0)
+    if apart_m > REST_M:
+        raise TouchError(
+            f"{path}: T_base_sensor and T_sensor_object put the object at places {1e3 * apart_m:.1f} mm apart; "
+            "it must be at rest; check both poses of each touch"
+        )

@@ -8,18 +8,25 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.geometry.rigid import require_rigid
-from tactile_loc.core.runtime.errors import OutputError, TouchError, advise_choice, name_source, note_source
+from tactile_loc.core.runtime.errors import OutputError, TouchError, name_source, note_source
 from tactile_loc.core.runtime.limits import require_pixels
-from tactile_loc.core.sensing.depth_maps import KINDS, MASK, METRES_PER_UNIT, DepthKind, DepthUnit, require_kind
-from tactile_loc.core.sensing.gel import GEL_KINDS, RIGID, Gel
+from tactile_loc.core.sensing.depth_maps import (
+    KINDS,
+    MASK,
+    METRES_PER_UNIT,
+    DepthKind,
+    DepthUnit,
+    TouchKind,
+    require_kind,
+)
+from tactile_loc.core.sensing.gel import Gel, GelKind
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import (
     ContactShape,
@@ -36,15 +43,13 @@ from tactile_loc.io.images import (
     explain_picture,
     guard_reading,
     load_image,
-    load_npy,
-    load_npz,
     measure_image,
-    measure_npy,
-    measure_npz,
     read_brightness,
     read_colour_image,
     require_file,
 )
+from tactile_loc.io.toml import MATRIX, Matrix, name_errors, to_array
+from tactile_loc.store.arrays import load_npy, load_npz, measure_npy, measure_npz
 from tactile_loc.store.files import list_files, replace_file
 
 if TYPE_CHECKING:
@@ -54,28 +59,33 @@ logger = logging.getLogger(__name__)
 
 TOUCH_SUFFIXES = (".npz", ".npy", *IMAGE_SUFFIXES)  # of images and contact shapes
 LARGEST_INDENTATION_M = 0.05
+LARGEST_OTHER_BYTES = 4096  # of an array beside the map
 OVERVIEW, TRUE_POSES = "touches.png", "poses.json"  # a picture of simulated touches, and their poses, beside them
 GEL_NAMES = {"rigid": "a rigid gel", "layer": "an elastic gel"}
+KIND_OPTION = "`touch_kind` {}"
+NO_CONTACT_U16 = 65535
+NUMBER = "one number"
 
 
-@dataclass(frozen=True, eq=False)
-class FileContents:
+class FileContents(BaseModel):
     """The contents of a touch file. A value that the file does not give is None.
 
     `depth` (H, W), `press_depth` and `indentation` are in `unit`. `kind` is the meaning of `depth`, as in
     `Touch.from_depth`, or "mask". `gel` is the kind of gel that it shows. The poses (4, 4) are in metres. `press_std`,
-    in `unit`, is the standard deviation of a mask's press.
+    in `unit`, is the standard deviation of a mask's press. A field's description completes "key must be ...".
     """
 
-    depth: NDArray[Any]
-    unit: str | None = None
-    press_depth: float | None = None
-    T_sensor_object: NDArray[np.float64] | None = None
-    T_base_sensor: NDArray[np.float64] | None = None
-    indentation: float | None = None
-    kind: str | None = None
-    gel: str | None = None
-    press_std: float | None = None
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    depth: Any
+    unit: DepthUnit | None = Field(default=None, description="'m', 'mm' or 'um'")
+    kind: TouchKind | None = Field(default=None, description="'distance', 'indentation', 'height' or 'mask'")
+    gel: GelKind | None = Field(default=None, description="'rigid' or 'layer'")
+    press_depth: float | None = Field(default=None, description=NUMBER)
+    press_std: float | None = Field(default=None, description=NUMBER)
+    indentation: float | None = Field(default=None, description=NUMBER)
+    T_sensor_object: Matrix | None = Field(default=None, description=MATRIX)
+    T_base_sensor: Matrix | None = Field(default=None, description=MATRIX)
 
 
 def read_contents(path: Path, geometry: SensorGeometry | None = None) -> FileContents:
@@ -97,28 +107,26 @@ def _read_npz(path: Path, geometry: SensorGeometry | None) -> FileContents:
     held = measure_npz(path)
     depth = _find_depth(held, path)
     _check_map(held[depth], path, geometry)
-    others = [name for name in OTHER_ARRAYS if name in held]
+    others = [name for name in FileContents.model_fields if name in held and name != "depth"]
     for name in others:
         if held[name].nbytes > LARGEST_OTHER_BYTES:
             raise TouchError(f"{name} in {path} has shape {held[name].shape}; save a number, a text or a pose (4, 4)")
     arrays = load_npz(path, (depth, *others))
-    unit, kind, gel = (_find_text(arrays, name, path) for name in ("unit", "kind", "gel"))
-    return FileContents(
-        arrays[depth],
-        unit,
-        _find_number(arrays, "press_depth", path),
-        _find_pose(arrays, "T_sensor_object", path),
-        _find_pose(arrays, "T_base_sensor", path),
-        _find_number(arrays, "indentation", path),
-        kind,
-        gel,
-        _find_number(arrays, "press_std", path),
-    )
+    stated = {name: _unpack(arrays[name]) for name in others}
+    with name_errors(path, FileContents, stated, "a touch", TouchError):
+        return FileContents(depth=arrays[depth], **stated)
+
+
+def _unpack(array: NDArray[Any]) -> Any:
+    """Return the only element of an array, or its rows. Bytes become text."""
+    value = array.item() if array.size == 1 else array.tolist()
+    value = value.decode(errors="backslashreplace") if isinstance(value, bytes) else value
+    return value.strip() if isinstance(value, str) else value
 
 
 def _read_npy(path: Path, geometry: SensorGeometry | None) -> FileContents:
     _check_map(measure_npy(path), path, geometry)
-    return FileContents(load_npy(path))
+    return FileContents(depth=load_npy(path))
 
 
 def _check_map(held: NDArray[Any], path: Path, geometry: SensorGeometry | None) -> None:
@@ -142,49 +150,13 @@ def _find_depth(held: Mapping[str, NDArray[Any]], path: Path) -> str:
     return maps[0]
 
 
-def _find_text(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> str | None:
-    """Return a text, which may be stored as bytes or as an array of one text; None if there is none."""
-    text = _find_one(arrays, name, path, "SU", "one text")
-    return (
-        None if text is None else (text.decode(errors="backslashreplace") if isinstance(text, bytes) else text).strip()
-    )
-
-
-def _find_number(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> float | None:
-    number = _find_one(arrays, name, path, "fiu", "one number")
-    return None if number is None else float(number)
-
-
-def _find_one(arrays: Mapping[str, NDArray[Any]], name: str, path: Path, kinds: str, wanted: str) -> Any:
-    """Return the only element of an array of one of these `kinds` (numpy), or None without the array."""
-    if name not in arrays:
-        return None
-    value = arrays[name]
-    if value.size != 1 or value.dtype.kind not in kinds:
-        raise TouchError(f"{name} in {path} has shape {value.shape} and type {value.dtype}; it must be {wanted}")
-    return value.item()
-
-
-def _find_pose(arrays: Mapping[str, NDArray[Any]], name: str, path: Path) -> NDArray[np.float64] | None:
-    if name not in arrays:
-        return None
-    return require_rigid(arrays[name], f"{name} in {path}", TouchError)
-
-
 def _read_png(path: Path, geometry: SensorGeometry | None) -> FileContents:
     mode, shape = measure_image(path)
     if not mode.startswith("I"):  # Pillow before 11 opens 16-bit grey as "I"
         raise TouchError(explain_picture(path, mode))
     if geometry is not None:
         require_fit(shape, geometry, str(path))
-    return FileContents(load_image(path)[1].astype(np.uint16))
-
-
-OTHER_ARRAYS = ("unit", "kind", "gel", "press_depth", "press_std", "indentation", "T_sensor_object", "T_base_sensor")
-LARGEST_OTHER_BYTES = 4096
-UNITS = tuple(METRES_PER_UNIT)
-KIND_OPTION = "`touch_kind` {}"
-NO_CONTACT_U16 = 65535
+    return FileContents(depth=load_image(path)[1].astype(np.uint16))
 
 
 def is_overview(path: Path) -> bool:
@@ -197,26 +169,6 @@ def list_touches(folder: Path, pattern: str = "*") -> list[Path]:
     return [path for path in list_files(folder, TOUCH_SUFFIXES, pattern) if not is_overview(path)]
 
 
-def read_contact_shape(
-    path: str | Path,
-    max_depth_m: float,
-    unit: str | None = None,
-    press_depth_m: float | None = None,
-    kind: str | None = None,
-) -> ContactShape:
-    """Read a contact shape (H, W) of a rigid gel from an .npz, .npy or 16-bit .png file.
-
-    `max_depth_m` is the sensor's maximal depth, metres. `unit` ("m", "mm" or "um") is needed if the file states no
-    unit. `kind` is the meaning of the depths if the file does not state it: see `Touch.from_depth`. The default is
-    "distance". If the file states no press depth, `press_depth_m`, metres, is the press depth. By default, it is taken
-    from the shape (see `contact_shape_from_array`). If the file states a press depth, the shape is cut at
-    `press_depth_m`, which must be smaller. Raises TouchError when the file holds no contact shape, or when its depths
-    have the opposite meaning.
-    """
-    path = Path(path)
-    return _build_shape(read_contents(path), path, max_depth_m, unit, press_depth_m, kind)
-
-
 def read_touch(
     path: str | Path,
     sensor: SensorModel,
@@ -224,19 +176,24 @@ def read_touch(
     press_depth_m: float | None = None,
     kind: str | None = None,
 ) -> Touch:
-    """Read a touch of `sensor` from a file with a contact shape (see `read_contact_shape`) or a colour image.
+    """Read a touch of `sensor` from a file with a contact shape (.npz, .npy or 16-bit .png) or a colour image.
 
     A calibrated sensor converts the image to a contact shape. The touch has the poses that the file gives. A file that
-    states another kind of gel than the sensor's is logged as a warning. Raises TouchError when the file is not a touch,
-    does not fit the sensor, shows no contact, or is in contact everywhere.
+    states another kind of gel than the sensor's is logged as a warning.
 
-    With the `kind` "mask", the file is a contact mask, and `press_depth_m`, metres, is its press depth if the file
-    states none: see `Touch.from_mask`.
+    `unit` ("m", "mm" or "um") is needed if a contact shape's file states no unit. `kind` is the meaning of its depths
+    if the file does not state it: see `Touch.from_depth`. The default is "distance". If the file states no press depth,
+    `press_depth_m`, metres, is the press depth. By default, it is taken from the shape (see
+    `contact_shape_from_array`). If the file states a press depth, the shape is cut at `press_depth_m`, which must be
+    smaller. With the `kind` "mask", the file is a contact mask: see `Touch.from_mask`.
+
+    Raises TouchError when the file is not a touch, does not fit the sensor, shows no contact, is in contact everywhere,
+    or when its depths have the opposite meaning.
     """
     path = Path(path)
     geometry = sensor.geometry
     if kind == MASK:
-        return _read_mask(path, read_mask(path, geometry), sensor, unit, press_depth_m)
+        return _build_mask(path, _read_mask_file(path, geometry), sensor, unit, press_depth_m)
     image = read_colour_image(path)
     if image is not None:
         with name_source(path):
@@ -244,31 +201,28 @@ def read_touch(
         return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=image)
     contents = read_contents(path, geometry)
     if contents.kind == MASK and kind is None:
-        return _read_mask(path, contents, sensor, unit, press_depth_m)
+        return _build_mask(path, contents, sensor, unit, press_depth_m)
     _compare_gels(contents.gel, geometry.gel, path)
-    shape = _build_shape(contents, path, geometry.max_depth_m, unit, press_depth_m, kind, geometry)
-    return Touch(shape, geometry, path.name, contents.T_base_sensor, contents.T_sensor_object)
+    shape = _build_shape(contents, str(path), geometry, unit, press_depth_m, kind)
+    return Touch(shape, geometry, path.name, to_array(contents.T_base_sensor), to_array(contents.T_sensor_object))
 
 
-def read_mask(path: Path, geometry: SensorGeometry | None = None) -> FileContents:
+def _read_mask_file(path: Path, geometry: SensorGeometry) -> FileContents:
     """Read an .npz, .npy or grey .png file with a contact mask, as `read_contents`."""
     if path.suffix.lower() != ".png":
         return read_contents(path, geometry)
     require_file(path)
     with guard_reading(path):
-        shape = measure_image(path)[1]
-    if geometry is not None:
-        require_fit(shape, geometry, str(path))
-    return FileContents(read_brightness(path))
+        require_fit(measure_image(path)[1], geometry, str(path))
+    return FileContents(depth=read_brightness(path))
 
 
-def _read_mask(
+def _build_mask(
     path: Path, contents: FileContents, sensor: SensorModel, unit: str | None, press_depth_m: float | None
 ) -> Touch:
     """Return the touch of a contact mask; a press depth in the file takes the place of `press_depth_m`, metres."""
-    if contents.kind not in (None, MASK):
-        raise TouchError(f"the kind in {path} is {contents.kind}, but `touch_kind` is {MASK}; leave it out")
-    scale = 1.0 if contents.press_depth is None else _find_scale(contents, path, unit)
+    _choose("kind", contents.kind, MASK, str(path))
+    scale = 1.0 if contents.press_depth is None else _find_scale(contents, str(path), unit)
     press_m = press_depth_m if contents.press_depth is None else contents.press_depth * scale
     return Touch.from_mask(
         contents.depth,
@@ -276,8 +230,8 @@ def _read_mask(
         press_depth_m=press_m,
         press_std_m=None if contents.press_std is None else contents.press_std * scale,
         name=path.name,
-        T_base_sensor=contents.T_base_sensor,
-        T_sensor_object=contents.T_sensor_object,
+        T_base_sensor=to_array(contents.T_base_sensor),
+        T_sensor_object=to_array(contents.T_sensor_object),
     )
 
 
@@ -298,9 +252,8 @@ def touch_from_image(
     if kind == MASK:
         return Touch.from_mask(image, sensor=sensor, press_depth_m=press_depth_m, name=name)
     if image.ndim == 2 and image.dtype.kind == "f" and (press_depth_m, unit, kind) != (None, None, None):
-        geometry, contents = sensor.geometry, FileContents(image)
-        shape = _build_shape(contents, name, geometry.max_depth_m, unit or "m", press_depth_m, kind, geometry)
-        return Touch(shape, geometry, name)
+        shape = _build_shape(FileContents(depth=image), name, sensor.geometry, unit or "m", press_depth_m, kind)
+        return Touch(shape, sensor.geometry, name)
     with note_source(name):
         shape = _cut(sensor.contact_shape(image), name, press_depth_m)
     return Touch(shape, sensor.geometry, name, image=image if image.ndim == 3 else None)
@@ -336,54 +289,48 @@ def write_touch(path: str | Path, touch: Touch) -> Path:
 
 def _build_shape(
     contents: FileContents,
-    path: Path | str,
-    max_depth_m: float,
+    name: str,
+    geometry: SensorGeometry,
     unit: str | None,
     press_depth_m: float | None,
     kind: str | None,
-    geometry: SensorGeometry | None = None,
 ) -> ContactShape:
     raw = contents.depth
-    if raw.ndim != 2 or raw.dtype.kind not in "fiu":
-        raise TouchError(f"{path} holds {raw.dtype} of shape {raw.shape}; a contact shape must be numbers (H, W)")
-    scale = _find_scale(contents, path, unit)
+    if raw.dtype.kind == "b":
+        raise TouchError(f"{name} holds {raw.dtype} of shape {raw.shape}; a contact shape must be numbers (H, W)")
+    scale, known = _find_scale(contents, name, unit), _find_kind(contents, name, kind)
     depth = raw.astype(np.float64) * scale
     if raw.dtype.kind == "u" and raw.dtype.itemsize == 2:
         depth[raw == NO_CONTACT_U16] = np.nan
-    known = _find_kind(contents, path, kind)
-    if geometry is not None and known != "distance":
+    if known != "distance":
         depth = blank_unobserved(depth, geometry)
     press_m = press_depth_m if contents.press_depth is None else contents.press_depth * scale
     meaning = Meaning(known, contents.unit is not None, KIND_OPTION if contents.kind is None else None)
-    gel = RIGID if geometry is None else geometry.gel
-    shape = contact_shape_from_array(depth, max_depth_m, press_m, str(path), meaning, gel)
+    shape = contact_shape_from_array(depth, geometry.max_depth_m, press_m, name, meaning, geometry.gel)
     if contents.press_depth is None:
         return shape
     if contents.indentation is not None:
-        shape = dataclasses.replace(shape, indentation_m=_check_depth_m(contents.indentation * scale, shape, path))
-    return _cut(shape, str(path), press_depth_m)
+        shape = dataclasses.replace(shape, indentation_m=_check_depth_m(contents.indentation * scale, shape, name))
+    return _cut(shape, name, press_depth_m)
 
 
-def _compare_gels(stated: str | None, gel: Gel, path: Path) -> None:
-    """Warn if a file states another kind of gel than the sensor's. Raises TouchError if there is no such kind."""
-    if stated is None or stated == gel.kind:
-        return
-    if stated not in GEL_KINDS:
-        raise TouchError(f"there is no gel {stated!r}, which {path} states; {advise_choice(stated, GEL_KINDS)}")
-    logger.warning(
-        "%s shows %s, but the sensor has %s, so the pose will probably be wrong; set the sensor's gel to %r",
-        path,
-        GEL_NAMES[stated],
-        GEL_NAMES[gel.kind],
-        stated,
-    )
+def _compare_gels(stated: GelKind | None, gel: Gel, path: Path) -> None:
+    """Warn if a file states another kind of gel than the sensor's."""
+    if stated not in (None, gel.kind):
+        logger.warning(
+            "%s shows %s, but the sensor has %s, so the pose will probably be wrong; set the sensor's gel to %r",
+            path,
+            GEL_NAMES[stated],
+            GEL_NAMES[gel.kind],
+            stated,
+        )
 
 
-def _check_depth_m(indentation_m: float, shape: ContactShape, path: Path | str) -> float:
+def _check_depth_m(indentation_m: float, shape: ContactShape, name: str) -> float:
     """Return the indentation, metres, which is at least the press depth."""
     if not shape.press_depth_m * (1 - 1e-6) <= indentation_m < LARGEST_INDENTATION_M:
         raise TouchError(
-            f"the indentation in {path} is {indentation_m * 1e3:.3g} mm; it must be at least its press depth of "
+            f"the indentation in {name} is {indentation_m * 1e3:.3g} mm; it must be at least its press depth of "
             f"{shape.press_depth_m * 1e3:.3g} mm, and below {LARGEST_INDENTATION_M * 1e3:.0f} mm"
         )
     return max(indentation_m, shape.press_depth_m)
@@ -401,26 +348,28 @@ def _cut(shape: ContactShape, name: str, press_depth_m: float | None) -> Contact
     return shape.press_to(press_depth_m)
 
 
-def _find_kind(contents: FileContents, path: Path | str, kind: str | None) -> DepthKind:
+def _find_kind(contents: FileContents, name: str, kind: str | None) -> DepthKind:
     """Return the meaning of a file's depths."""
-    for name in (kind, contents.kind):
-        if name is not None:
-            require_kind(name, str(path), (*KINDS, MASK))
+    if kind is not None:
+        require_kind(kind, name, (*KINDS, MASK))
     if MASK in (kind, contents.kind):
-        raise TouchError(f"{path} is a contact mask, which has no depths; read it as a touch")
-    if kind is not None and contents.kind is not None and kind != contents.kind:
-        raise TouchError(f"the kind in {path} is {contents.kind}, but `touch_kind` is {kind}; leave it out")
-    return cast(DepthKind, contents.kind or kind or "distance")
+        raise TouchError(f"{name} is a contact mask, which has no depths; read it as a touch")
+    return cast(DepthKind, _choose("kind", contents.kind, kind, name) or "distance")
 
 
-def _find_scale(contents: FileContents, path: Path | str, unit: str | None) -> float:
+def _find_scale(contents: FileContents, name: str, unit: str | None) -> float:
     """Return the metres per unit of a file's depths."""
-    for name in (unit, contents.unit):
-        if name is not None and name not in UNITS:
-            raise TouchError(f"the unit {name!r} of {path} is unknown; the units are {', '.join(UNITS)}")
-    if unit is not None and contents.unit is not None and unit != contents.unit:
-        raise TouchError(f"the unit in {path} is {contents.unit}, but `touch_unit` is {unit}; leave it out")
-    known = contents.unit or unit
+    units = ", ".join(METRES_PER_UNIT)
+    if unit is not None and unit not in METRES_PER_UNIT:
+        raise TouchError(f"the unit {unit!r} of {name} is unknown; the units are {units}")
+    known = _choose("unit", contents.unit, unit, name)
     if known is None:
-        raise TouchError(f"{path} has no unit; give the unit of its depths by `touch_unit`: {', '.join(UNITS)}")
+        raise TouchError(f"{name} has no unit; give the unit of its depths by `touch_unit`: {units}")
     return METRES_PER_UNIT[cast(DepthUnit, known)]
+
+
+def _choose(what: str, stated: str | None, given: str | None, name: str) -> str | None:
+    """Return what a file states, or else what the caller gives. Raises TouchError if they differ."""
+    if stated is not None and given not in (None, stated):
+        raise TouchError(f"the {what} in {name} is {stated}, but `touch_{what}` is {given}; leave it out")
+    return stated or given

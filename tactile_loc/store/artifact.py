@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import StoreError
-from tactile_loc.core.runtime.limits import require_size
-from tactile_loc.store.archives import require_packing
+from tactile_loc.store.arrays import load_npz
 from tactile_loc.store.files import read_json
 from tactile_loc.store.keys import StageKey, hash_file, hash_json
 
@@ -26,7 +23,6 @@ MANIFEST = "manifest.json"
 _FORMAT = 1
 _MEMBER = "array"  # name of the array in a packed file, which is an ordinary npz
 _MEMORY_BYTES = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")  # of this machine
-_LEVEL = 6  # compression level; level 1 takes half the time and up to a tenth more space
 
 
 class DamagedError(StoreError):
@@ -122,11 +118,8 @@ class Artifact:
 
 def write_packed(path: Path, array: NDArray[Any]) -> None:
     """Write an array of any shape, without Python objects, to a compressed file. Equal arrays give equal files."""
-    with (
-        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as file,
-        file.open(f"{_MEMBER}.npy", "w", force_zip64=True) as member,
-    ):
-        np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **{_MEMBER: array})
 
 
 def read_packed(path: Path) -> NDArray[Any]:
@@ -135,15 +128,10 @@ def read_packed(path: Path) -> NDArray[Any]:
     Raises OSError when the file cannot be opened, and ValueError when it holds no packed array, or one that is larger
     than this machine's memory.
     """
-    try:
-        with zipfile.ZipFile(path) as file:
-            require_packing(file.infolist())
-            require_size(sum(one.file_size for one in file.infolist()), _MEMORY_BYTES)
-        with np.load(path, allow_pickle=False) as arrays:
-            array: NDArray[Any] = arrays[_MEMBER]
-    except (zipfile.BadZipFile, zlib.error, KeyError, EOFError, MemoryError) as error:
-        raise ValueError(f"it holds no packed array ({error})") from error
-    return array
+    arrays = load_npz(path, (_MEMBER,), _MEMORY_BYTES)
+    if not arrays:
+        raise ValueError("it holds no packed array")
+    return arrays[_MEMBER]
 
 
 def write_manifest(path: Path, key: StageKey, files: Mapping[str, FileRecord]) -> None:

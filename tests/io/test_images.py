@@ -1,9 +1,7 @@
-"""Array files whose headers are wrong: about their size, their inflated size, and their kind."""
+"""Pictures: the colours of photos, whatever way they are stored, and pictures that are no photos."""
 
 from __future__ import annotations
 
-import io
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,61 +11,7 @@ from PIL import Image
 
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.runtime.limits import MOST_SIDE_PX
-from tactile_loc.io import images
-from tactile_loc.io.images import load_image, load_npy, load_npz, measure_image, read_colour_image, read_photo
-
-NUMBERS = np.arange(12.0).reshape(3, 4)
-
-
-def lying(descr: str, shape: tuple[int, ...], content: bytes = bytes(96)) -> bytes:
-    file = io.BytesIO()
-    np.lib.format.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
-    return file.getvalue() + content
-
-
-def zipped(path: Path, **members: bytes) -> Path:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in members.items():
-            archive.writestr(f"{name}.npy", content)
-    return path
-
-
-@pytest.mark.parametrize("order", ["C", "F"])
-def test_arrays_written_by_numpy_are_read_unchanged(tmp_path, order):
-    np.save(tmp_path / "a.npy", np.asarray(NUMBERS, order=order))
-    np.savez_compressed(tmp_path / "a.npz", depth=NUMBERS, unit=np.array("mm"), none=np.zeros((0, 3)))
-    np.testing.assert_array_equal(load_npy(tmp_path / "a.npy"), NUMBERS)
-    read = load_npz(tmp_path / "a.npz")
-    assert (list(read), str(read["unit"]), read["none"].shape) == (["depth", "unit", "none"], "mm", (0, 3))
-    np.testing.assert_array_equal(read["depth"], NUMBERS)
-
-
-LIES = [("<f8", (10**5, 10**6)), ("<f8", (2**62, 8)), ("<f8", (-1, 3)), ("<U0", (10**9,)), ("<f8", (13,)), ("|O", (3,))]
-
-
-@pytest.mark.parametrize(("descr", "shape"), LIES)
-def test_a_header_that_promises_too_much_data_is_refused(tmp_path, descr, shape):
-    (tmp_path / "a.npy").write_bytes(lying(descr, shape))
-    archive = zipped(tmp_path / "a.npz", depth=lying(descr, shape))
-    for load, path in ((load_npy, tmp_path / "a.npy"), (load_npz, archive)):
-        with pytest.raises(ValueError, match=r"96|allow_pickle"):
-            load(path)
-
-
-def test_an_array_that_inflates_beyond_the_limit_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(images, "MOST_BYTES", 10**6)
-    path = zipped(tmp_path / "a.npz", depth=lying("|u1", (2 * 10**6,), bytes(2 * 10**6)))
-    assert path.stat().st_size < 10**4
-    with pytest.raises(ValueError, match="limit"):
-        load_npz(path)
-
-
-@pytest.mark.parametrize("content", [b"", b"PK", b"PK\x03\x04" + bytes(100), b"\x93NUMPY\x09\x00", b"text"])
-def test_a_file_without_arrays_is_refused(tmp_path, content):
-    for suffix, load in ((".npy", load_npy), (".npz", load_npz)):
-        (tmp_path / f"a{suffix}").write_bytes(content)
-        with pytest.raises(ValueError):  # noqa: PT011 - the reason is whatever the file lacks
-            load(tmp_path / f"a{suffix}")
+from tactile_loc.io.images import load_image, measure_image, read_colour_image, read_photo
 
 
 def test_an_image_larger_than_any_sensors_is_refused_before_reading(tmp_path):

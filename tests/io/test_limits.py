@@ -24,15 +24,16 @@ MOST_MB = 192  # three times the largest peak, of the libraries that a record ne
 CHILD = """
 import json, os, resource, sys, zipfile
 from pathlib import Path
+from types import SimpleNamespace
 import mcap.stream_reader, safetensors.numpy, scipy.spatial, trimesh
 from PIL import Image
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.store.archives import read_member
-from tactile_loc.io.images import load_npz, read_photo
+from tactile_loc.io.images import read_photo
 from tactile_loc.io.meshes.mesh_files import read_surface
 from tactile_loc.io.streams.recordings import Recording
-from tactile_loc.io.touches import read_contents, read_mask
+from tactile_loc.io.touches import read_touch
+from tactile_loc.store.arrays import read_member
 
 def read(path):
     kind = path.suffix
@@ -43,7 +44,8 @@ def read(path):
         return read_photo(path)
     if kind in (".npz", ".npy", ".png"):
         geometry = SensorGeometry("orthographic", 48, 40, 1e4, 1e4, 24, 20, 0.01, 2e-3)
-        return (read_mask if path.stem == "mask" else read_contents)(path, geometry)
+        sensor = SimpleNamespace(geometry=geometry)
+        return read_touch(path, sensor, "mm", kind="mask" if path.stem == "mask" else None)
     readers = {
         ".mcap": lambda path: Recording(path).read_contents(),
         ".safetensors": safetensors.numpy.load_file,

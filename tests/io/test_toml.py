@@ -14,29 +14,37 @@ from scipy.spatial.transform import Rotation
 from tactile_loc.core.geometry.rigid import rotation_to_quaternion_xyzw
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.toml import PoseKeys, format_toml, parse_value, read_pose, read_toml
+from tactile_loc.io.toml import Matrix, PoseKeys, format_toml, parse_value, read_toml
 from tactile_loc.store.files import write_text
 
 
+class Keys(PoseKeys):
+    T: Matrix | None = None
+
+
+def read_pose(**keys):
+    return Keys(**keys).read_pose("T")
+
+
 def test_angles_rotate_about_fixed_axes_with_roll_first():
-    T = read_pose(PoseKeys(xyz_mm=[1, -2.5, 30], rpy_deg=[10, -20, 70]), None, "T")
+    T = read_pose(xyz_mm=[1, -2.5, 30], rpy_deg=[10, -20, 70])
     np.testing.assert_allclose(T[:3, 3], [0.001, -0.0025, 0.030], atol=1e-15)
     np.testing.assert_allclose(T[:3, :3], Rotation.from_euler("xyz", [10, -20, 70], degrees=True).as_matrix())
-    quarter = read_pose(PoseKeys(xyz_mm=[0, 0, 0], rpy_deg=[90, 0, 90]), None, "T")
+    quarter = read_pose(xyz_mm=[0, 0, 0], rpy_deg=[90, 0, 90])
     np.testing.assert_allclose(quarter[:3, :3] @ [0, 1, 0], [0, 0, 1], atol=1e-12)  # y to z by the roll, z stays
 
 
 def test_four_notations_give_the_same_pose():
-    angles = read_pose(PoseKeys(xyz_mm=[1, 2, 3], rpy_deg=[10, -20, 70]), None, "T")
+    angles = read_pose(xyz_mm=[1, 2, 3], rpy_deg=[10, -20, 70])
     w_last = Rotation.from_matrix(angles[:3, :3]).as_quat()
     rounded = [round(float(v), 4) for v in [w_last[3], *w_last[:3]]]
-    quaternion = read_pose(PoseKeys(xyz_mm=[1, 2, 3], quaternion_wxyz=rounded), None, "T")
+    quaternion = read_pose(xyz_mm=[1, 2, 3], quaternion_wxyz=rounded)
     np.testing.assert_allclose(quaternion, angles, atol=2e-4)
     assert np.linalg.det(quaternion[:3, :3]) == pytest.approx(1, abs=1e-12)
-    np.testing.assert_array_equal(read_pose(PoseKeys(), angles.tolist(), "T"), angles)
-    exact = PoseKeys(xyz_m=[1e-3, 2e-3, 3e-3], quaternion_xyzw=rotation_to_quaternion_xyzw(angles[:3, :3]).tolist())
-    np.testing.assert_allclose(read_pose(exact, None, "T"), angles, atol=1e-12)  # as results give it
-    assert read_pose(PoseKeys(), None, "T") is None
+    np.testing.assert_array_equal(read_pose(T=angles.tolist()), angles)
+    exact = {"xyz_m": [1e-3, 2e-3, 3e-3], "quaternion_xyzw": rotation_to_quaternion_xyzw(angles[:3, :3]).tolist()}
+    np.testing.assert_allclose(read_pose(**exact), angles, atol=1e-12)  # as results give it
+    assert read_pose() is None
 
 
 XYZ, RPY = {"xyz_mm": [0, 0, 0]}, {"rpy_deg": [0, 0, 0]}
@@ -44,26 +52,25 @@ XYZW, WXYZ = {"quaternion_xyzw": [0, 0, 0, 1]}, {"quaternion_wxyz": [1, 0, 0, 0]
 
 
 @pytest.mark.parametrize(
-    ("keys", "matrix", "values"),
+    ("keys", "values"),
     [
-        ({"xyz_mm": [0, 0, 0]}, None, ("T", "no rotation", "rpy_deg", "quaternion_wxyz")),
-        ({"rpy_deg": [0, 0, 0]}, None, ("T", "xyz_mm", "rpy_deg", "no position")),
-        (XYZ | RPY | WXYZ, None, ("more than one rotation", "rpy_deg", "quaternion_wxyz")),
-        (XYZ | XYZW | WXYZ, None, ("more than one rotation", "quaternion_xyzw", "quaternion_wxyz")),
-        (XYZ | {"xyz_m": [0, 0, 0]} | RPY, None, ("more than one position", "xyz_mm", "xyz_m")),
-        ({"quaternion_xyzw": [0, 0, 0, 1]}, None, ("T", "xyz_m", "quaternion_xyzw", "no position")),
-        ({"xyz_mm": [0, 0, 0], "quaternion_wxyz": [1, 1, 0, 0]}, None, ("quaternion_wxyz", "1.414")),
-        ({"xyz_m": [0, 0, 0], "quaternion_xyzw": [1, 1, 0, 0]}, None, ("quaternion_xyzw", "1.414")),
-        ({"xyz_m": [0, 0, 0]}, np.eye(4).tolist(), ("T", "xyz_m")),
-        ({"xyz_mm": [0, 0, 0]}, np.eye(4).tolist(), ("T", "xyz_mm")),
-        ({}, (2 * np.eye(4)).tolist(), ("T", "rigid")),
-        ({}, np.diag([1.0, 1.0, -1.0, 1.0]).tolist(), ("T", "rigid")),
+        ({"xyz_mm": [0, 0, 0]}, ("T", "no rotation", "rpy_deg", "quaternion_wxyz")),
+        ({"rpy_deg": [0, 0, 0]}, ("T", "xyz_mm", "rpy_deg", "no position")),
+        (XYZ | RPY | WXYZ, ("more than one rotation", "rpy_deg", "quaternion_wxyz")),
+        (XYZ | XYZW | WXYZ, ("more than one rotation", "quaternion_xyzw", "quaternion_wxyz")),
+        (XYZ | {"xyz_m": [0, 0, 0]} | RPY, ("more than one position", "xyz_mm", "xyz_m")),
+        ({"quaternion_xyzw": [0, 0, 0, 1]}, ("T", "xyz_m", "quaternion_xyzw", "no position")),
+        ({"xyz_mm": [0, 0, 0], "quaternion_wxyz": [1, 1, 0, 0]}, ("quaternion_wxyz", "1.414")),
+        ({"xyz_m": [0, 0, 0], "quaternion_xyzw": [1, 1, 0, 0]}, ("quaternion_xyzw", "1.414")),
+        ({"xyz_m": [0, 0, 0], "T": np.eye(4).tolist()}, ("T", "xyz_m")),
+        ({"xyz_mm": [0, 0, 0], "T": np.eye(4).tolist()}, ("T", "xyz_mm")),
+        ({"T": (2 * np.eye(4)).tolist()}, ("T", "rigid")),
+        ({"T": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()}, ("T", "rigid")),
     ],
 )
-def test_an_incomplete_pose_and_two_poses_are_refused(keys, matrix, values):
-    pose = PoseKeys(**keys)
+def test_an_incomplete_pose_and_two_poses_are_refused(keys, values):
     with pytest.raises((ValueError, ConfigError), match=naming(*values)):
-        read_pose(pose, matrix, "T")
+        read_pose(**keys)
 
 
 def test_a_written_configuration_is_read_back_unchanged():

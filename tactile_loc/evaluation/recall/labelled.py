@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.recall.examples import TouchedExample
-from tactile_loc.io.labelled_touches import LabelledTouch, read_labelled_touches
+from tactile_loc.io.touch_lists import Example, read_labelled_touches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.touch_files import match_localizers, read_listed_touch
 from tactile_loc.store.keys import hash_arrays
@@ -31,7 +32,7 @@ class LabelledExamples:
     """
 
     localizer: Localizer
-    examples: tuple[tuple[LabelledTouch, ...], ...]
+    examples: tuple[Example, ...]
 
     @classmethod
     def read(cls, localizer: Localizer, paths: Iterable[Path]) -> LabelledExamples:
@@ -69,11 +70,10 @@ class LabelledExamples:
         localizers, touches, problem = self._localizers[number], [], ""
         for localizer, one in zip(localizers, self.examples[number], strict=True):
             try:
-                touch = read_listed_touch(localizer, one.listed)
+                touches.append(read_listed_touch(localizer, one))
             except TouchError as error:
                 problem = str(error)
                 break
-            touches.append(dataclasses.replace(touch, T_sensor_object=one.T_sensor_object))
         return TouchedExample(tuple(zip(localizers, _place_sensors(touches), strict=False)), problem=problem)
 
     def describe(self) -> dict[str, Any]:
@@ -83,8 +83,7 @@ class LabelledExamples:
     @cached_property
     def _localizers(self) -> list[list[Localizer]]:
         """The localizer of each touch of each example."""
-        every = [one.listed for example in self.examples for one in example]
-        found = iter(match_localizers(self.localizer, every))
+        found = iter(match_localizers(self.localizer, chain.from_iterable(self.examples)))
         return [[next(found) for _ in example] for example in self.examples]
 
 

@@ -21,11 +21,11 @@ from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.io.images import load_npz
 from tactile_loc.io.json_keys import read_keys
 from tactile_loc.io.meshes.mesh_files import simplify_mesh
 from tactile_loc.io.streams.records import hash_document
 from tactile_loc.locate.result.result_json import AGAIN, SCHEMA_VERSION, TOUCH
+from tactile_loc.store.arrays import load_npz
 from tactile_loc.store.files import parse_json, write_atomically
 
 NAME = "result.npz"

@@ -10,8 +10,9 @@ import numpy as np
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.io.csv_tables import read_table
-from tactile_loc.io.images import IMAGE_SUFFIXES, load_npz, read_photo, write_image
+from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo, write_image
 from tactile_loc.sensors.calibration.press_table import TABLE, Circles, write_scale, write_table
+from tactile_loc.store.arrays import load_npz
 from tactile_loc.store.files import list_files, order_as_counted, read_text
 
 HALF = 0.5  # pixel centres are at whole numbers in public sets, and at half integers in tactile-loc
