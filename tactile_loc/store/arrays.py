@@ -1,4 +1,4 @@
-"""Reads .npy, .npz and zip files that nobody vouches for.
+"""Reads .npy, .npz and zip files from untrusted sources.
 
 Pickles are never loaded. Files that are damaged, or that state more data than they hold, are refused.
 """
