@@ -9,12 +9,13 @@ from __future__ import annotations
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tactile_loc_benchmark.files import HEAD, TABLE_NOTE, format_within, list_cells
-from tactile_loc_benchmark.leaderboard import Standing, read_standings
-from tactile_loc_benchmark.summary import WITHIN_M, MethodResult
+from tactile_loc_benchmark.job import Row
+from tactile_loc_benchmark.leaderboard import read_standings
+from tactile_loc_benchmark.summary import WITHIN_M
 
 from tactile_loc.evaluation.text_tables import format_markdown
 from tactile_loc.slots.registry import registry
@@ -38,83 +39,78 @@ SHARED = 3  # the first cells of HEAD are the source, the number of touches and 
 Key = tuple[str, str, str]  # suite, protocol, source
 
 
-def _negate(value: float | None) -> float | None:
-    return None if value is None else -value
-
-
-# For each column of HEAD from the fourth on: the value of which the largest is the best, or None.
-MERITS: tuple[Callable[[MethodResult], float | None] | None, ...] = (
-    *(lambda group, k=k: group.within[k] for k in range(len(WITHIN_M))),  # type: ignore[misc]
-    lambda group: group.listed_within[NEAR],
-    lambda group: _negate(group.median_m),
-    lambda group: group.determined_within_1_mm,
-    lambda group: _negate(group.median_determined_m),
-    lambda group: group.auc,
-    lambda group: group.average_recall_mssd,
-    lambda group: _negate(group.calibration_error),
+# For each column of HEAD from the fourth on: a value of a group, and 1 if the largest is the best, -1 if the smallest.
+MERITS: tuple[tuple[str, int | None, int] | None, ...] = (
+    *(("within", k, 1) for k in range(len(WITHIN_M))),
+    ("listed_within", NEAR, 1),
+    ("median_m", None, -1),
+    ("determined_within_1_mm", None, 1),
+    ("median_determined_m", None, -1),
+    ("auc", None, 1),
+    ("average_recall_mssd", None, 1),
+    ("calibration_error", None, -1),
     None,
     None,
-    lambda group: _negate(group.median_s),
+    ("median_s", None, -1),
 )
 
 
-def read_all(folder: Path = RESULTS) -> list[Standing]:
+def read_all(folder: Path = RESULTS) -> list[Row]:
     """Return the newest standing of each suite, protocol, source, method and number of touches."""
     found = [standing for path in sorted(folder.glob("*.json")) for standing in read_standings(path)]
-    found.sort(key=lambda standing: standing.date)
-    newest = {(*_find_key(one), one.group.method, one.group.touches): one for one in found}
+    found.sort(key=lambda standing: standing["date"])
+    newest = {(*_find_key(one), one["method"], one["touches"]): one for one in found}
     return list(newest.values())
 
 
-def format_page(standings: Sequence[Standing]) -> str:
+def format_page(standings: Sequence[Row]) -> str:
     """Return the text of the leaderboard."""
-    tables: dict[Key, list[Standing]] = {}
+    tables: dict[Key, list[Row]] = {}
     for standing in standings:
         tables.setdefault(_find_key(standing), []).append(standing)
     parts = [INTRODUCTION, "## Where tactile-loc loses\n\n", _format_losses(tables.values())]
     previous = ""
     for (suite, protocol, source), some in sorted(tables.items(), key=lambda item: item[0][0]):
         if suite != previous:
-            parts.append(f"\n## Suite {suite}\n\n{some[0].summary}.\n")
+            parts.append(f"\n## Suite {suite}\n\n{some[0]['summary']}.\n")
         previous = suite
-        versions = _join(some[-1].source_libraries) or "no library"
-        about = f"Licence: {some[0].licence or 'not stated'}. Versions: {versions}. Protocol: `{protocol}`."
+        versions = _join(some[-1]["source_libraries"]) or "no library"
+        about = f"Licence: {some[0]['licence'] or 'not stated'}. Versions: {versions}. Protocol: `{protocol}`."
         parts.append(f"\n### {suite}: {source}\n\n{about}\n\n{format_markdown(_tabulate(some))}")
     parts.append(f"\n## Methods\n\n{format_markdown(_tabulate_methods(standings))}")
     return "".join(parts)
 
 
-def _find_key(standing: Standing) -> Key:
-    return standing.suite, standing.protocol, standing.group.source
+def _find_key(standing: Row) -> Key:
+    return standing["suite"], standing["protocol"], standing["source"]
 
 
-def _tabulate(standings: Sequence[Standing]) -> list[list[str]]:
+def _tabulate(standings: Sequence[Row]) -> list[list[str]]:
     """Return a row for each number of touches and method, with the best values bold."""
-    ordered = sorted(standings, key=lambda one: (one.group.touches, -one.group.within[NEAR]))
+    ordered = sorted(standings, key=lambda one: (one["touches"], -one["within"][NEAR]))
     rows = [[HEAD[1], HEAD[2], "examples", *HEAD[SHARED:], "date"]]
     for one in ordered:
-        rivals = [other.group for other in ordered if other.group.touches == one.group.touches]
-        cells = list(list_cells(one.group))
+        rivals = [other for other in ordered if other["touches"] == one["touches"]]
+        cells = list(list_cells(one))
         values = [
-            f"**{cell}**" if len(rivals) > 1 and _is_best(one.group, rivals, merit) else cell
+            f"**{cell}**" if len(rivals) > 1 and _is_best(one, rivals, merit) else cell
             for cell, merit in zip(cells[SHARED:], MERITS, strict=True)
         ]
-        rows.append([*cells[1:SHARED], str(one.group.examples), *values, one.date])
+        rows.append([*cells[1:SHARED], str(one["examples"]), *values, one["date"]])
     return rows
 
 
-Merit = Callable[[MethodResult], float | None]
-
-
-def _is_best(group: MethodResult, rivals: Iterable[MethodResult], merit: Merit | None) -> bool:
-    if merit is None or (own := merit(group)) is None:
+def _is_best(group: Row, rivals: Sequence[Row], merit: tuple[str, int | None, int] | None) -> bool:
+    if merit is None:
         return False
-    return all((other := merit(rival)) is None or other <= own for rival in rivals)
+    name, number, sign = merit
+    own, *others = (one[name] if number is None else one[name][number] for one in (group, *rivals))
+    return own is not None and all(other is None or sign * other <= sign * own for other in others)
 
 
-def _format_losses(tables: Collection[Sequence[Standing]]) -> str:
+def _format_losses(tables: Collection[Sequence[Row]]) -> str:
     """Return a table of all methods that are better than the default tactile-loc within 1 mm."""
-    if all(one.component == OURS for some in tables for one in some):
+    if all(one["component"] == OURS for some in tables for one in some):
         return "The results contain no other method yet.\n"
     rows = [list(_compare(one, ours)) for some in tables for one, ours in _find_losses(some)]
     if not rows:
@@ -123,25 +119,25 @@ def _format_losses(tables: Collection[Sequence[Standing]]) -> str:
     return format_markdown([head, *rows])
 
 
-def _find_losses(standings: Sequence[Standing]) -> Iterator[tuple[Standing, Standing]]:
+def _find_losses(standings: Sequence[Row]) -> Iterator[tuple[Row, Row]]:
     """Yield each better method of one table, with tactile-loc's result for the same number of touches."""
-    ours = {one.group.touches: one for one in standings if one.component == OURS and not one.options}
+    ours = {one["touches"]: one for one in standings if one["component"] == OURS and not one["options"]}
     for one in standings:
-        mine = ours.get(one.group.touches)
-        if mine is not None and one.component != OURS and one.group.within[NEAR] > mine.group.within[NEAR]:
+        mine = ours.get(one["touches"])
+        if mine is not None and one["component"] != OURS and one["within"][NEAR] > mine["within"][NEAR]:
             yield one, mine
 
 
-def _compare(one: Standing, ours: Standing) -> Iterator[str]:
-    yield from (one.suite, one.group.source, str(one.group.touches), one.group.method)
-    yield from (format_within(group, NEAR) for group in (one.group, ours.group))
-    apart = one.group.within_range[NEAR][0] > ours.group.within_range[NEAR][1]
+def _compare(one: Row, ours: Row) -> Iterator[str]:
+    yield from (one["suite"], one["source"], str(one["touches"]), one["method"])
+    yield from (format_within(group, NEAR) for group in (one, ours))
+    apart = one["within_range"][NEAR][0] > ours["within_range"][NEAR][1]
     yield "do not overlap" if apart else "overlap"
 
 
-def _tabulate_methods(standings: Sequence[Standing]) -> list[list[str]]:
+def _tabulate_methods(standings: Sequence[Row]) -> list[list[str]]:
     rows = {
-        one.group.method: [one.group.method, f"`{one.component}`", one.paper or "-", _join(one.libraries)]
+        one["method"]: [one["method"], f"`{one['component']}`", one["paper"] or "-", _join(one["libraries"])]
         for one in standings
     }
     return [["method", "component", "follows", "versions"], *rows.values()]

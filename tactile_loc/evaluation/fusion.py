@@ -15,14 +15,13 @@ from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import PosePosterior, require_pose_left
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.evaluation.metrics import PoseJudge
-from tactile_loc.evaluation.protocol import describe_located, label_run, save_in_shards
+from tactile_loc.evaluation.protocol import describe_located, label_run, measure_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.fuser import Fuser
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.workspace import Workspace
 
 FUSION_VERSION = 2  # increase if the same localizer gets other results
 FUSION_LINES = ("best-1", "kinematic", "random")
@@ -48,16 +47,9 @@ def evaluate_fusion(
     ConfigError unless all numbers of contacts are from 1 to MOST_FUSED, and TactileLocError if a touch cannot be
     located.
     """
-    numbers = tuple(sorted(set(contacts)))
-    if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
-        raise ConfigError(f"the numbers of contacts cannot be {list(contacts)}; give numbers from 1 to {MOST_FUSED}")
-
-    def run(work: Workspace) -> None:
-        examples = _FusedExamples(localizer, numbers, touches)
-        save_in_shards(work, ARRAYS, count, SHARD, examples.locate)
-
-    artifact = localizer.store.build(make_fusion_key(localizer, numbers, count, touches), run)
-    errors_m, alone, refused = (artifact.load_array(name, mmap=False) for name in ARRAYS)
+    numbers = sort_numbers(contacts, "contacts")
+    key, examples = make_fusion_key(localizer, numbers, count, touches), _FusedExamples(localizer, numbers, touches)
+    errors_m, alone, refused = measure_in_shards(localizer.store, key, ARRAYS, count, SHARD, examples.locate).values()
     columns = {
         **name_errors(errors_m.reshape(-1, len(FUSION_LINES))[..., None], FUSION_LINES, ("add",)),
         **{f"{line} alone": alone[..., k].ravel() for k, line in enumerate(FUSED_LINES)},
@@ -69,6 +61,14 @@ def evaluate_fusion(
         touches=np.tile(numbers, count),
         refused=np.repeat(refused, len(numbers)),
     )
+
+
+def sort_numbers(given: Sequence[int], what: str) -> tuple[int, ...]:
+    """Return numbers of touches in ascending order. Raises ConfigError unless all are from 1 to MOST_FUSED."""
+    numbers = tuple(sorted(set(given)))
+    if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
+        raise ConfigError(f"the numbers of {what} cannot be {list(given)}; give numbers from 1 to {MOST_FUSED}")
+    return numbers
 
 
 def make_fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:

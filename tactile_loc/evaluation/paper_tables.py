@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,7 @@ from tactile_loc.evaluation.metrics import LEVELS
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES
 from tactile_loc.evaluation.summary import find_median, summarise_errors
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
-from tactile_loc.evaluation.text_tables import Columns, Row, Table, format_length, pivot, tabulate
+from tactile_loc.evaluation.text_tables import Row, Table, format_length, format_share, pivot, tabulate
 
 TOUCH_SCHEMA, CONTACTS_SCHEMA = 3, 2
 SHOWN = tuple(line for line in LINES if line != "random-10")  # the lines in the summary
@@ -121,8 +119,6 @@ def _group_areas(run: ExampleTable) -> Iterator[Row]:
 
 # ---- from one touch
 
-_RUN: Columns = {"object": itemgetter("object"), "encoder": itemgetter("encoder")}
-
 
 def format_share_of_random(row: Row) -> str:
     """Return the median error of a row of `summarise_lines` as a share of a random pose's mean error."""
@@ -139,6 +135,17 @@ def format_both(row: Row) -> str:
     return f"{format_median(row)} ({format_share_of_random(row)})"
 
 
+def _name_run(row: Row) -> dict[str, str]:
+    return {name: row[name] for name in ("object", "encoder")}
+
+
+def _find_medians(lines: Sequence[Row], metric: str = "add") -> dict[tuple[str, str, str], str]:
+    """Return the median errors of a metric, in mm, by object, encoder and line, from `summarise_lines`."""
+    return {
+        (row["object"], row["encoder"], row["line"]): format_median(row) for row in lines if row["metric"] == metric
+    }
+
+
 def tabulate_medians(rows: Sequence[Row], cell: Callable[[Row], str] = format_both) -> Table:
     """Return a row for each object and encoder, from `summarise_lines`: the `cell` of each line of SHOWN."""
     shown = [row for row in rows if row["line"] in SHOWN and row["metric"] == "add"]
@@ -150,21 +157,14 @@ def tabulate_ambiguity(rows: Sequence[Row], lines: Sequence[Row]) -> Table:
 
     The medians are over all touches, from `summarise_lines`, and over the unambiguous touches.
     """
-    columns = {**_RUN, "ambiguous": lambda row: f"{100 * row['ambiguous']:.0f} %"}
-    for line in JUDGED:
-        columns[f"{line}, all"] = partial(_format_line, lines, line)
-        columns[f"{line}, unambiguous"] = partial(_format_unambiguous, line)
-    return tabulate(rows, columns)
-
-
-def _format_line(lines: Sequence[Row], line: str, row: Row, metric: str = "add") -> str:
-    """Return the median error of a line in mm, of the object and encoder of a row."""
-    wanted = {"object": row["object"], "encoder": row["encoder"], "line": line, "metric": metric}
-    return format_median(next(one for one in lines if wanted.items() <= one.items()))
-
-
-def _format_unambiguous(line: str, row: Row) -> str:
-    return format_length(row["unambiguous_median_m"][line])
+    medians, found = _find_medians(lines), []
+    for row in rows:
+        cells = {**_name_run(row), "ambiguous": format_share(row["ambiguous"])}
+        for line in JUDGED:
+            cells[f"{line}, all"] = medians[row["object"], row["encoder"], line]
+            cells[f"{line}, unambiguous"] = format_length(row["unambiguous_median_m"][line])
+        found.append(cells)
+    return tabulate(found)
 
 
 def tabulate_areas(rows: Sequence[Row]) -> Table:
@@ -175,81 +175,85 @@ def tabulate_areas(rows: Sequence[Row]) -> Table:
     limits = [f"{100 * share:g}" for share in AREAS]
     between = [f"{low} to {high} %" for low, high in itertools.pairwise(limits[1:-1])]
     heads = [f"below {limits[1]} %", *between, f"above {limits[-2]} %"]
-    columns = {**_RUN, "refused": lambda row: str(row["refused"])}
-    return tabulate(rows, columns | {head: partial(_format_area, k) for k, head in enumerate(heads)})
+    return tabulate(
+        {
+            **_name_run(row),
+            "refused": str(row["refused"]),
+            **{head: _format_area(area) for head, area in zip(heads, row["contact_areas"], strict=True)},
+        }
+        for row in rows
+    )
 
 
-def _format_area(number: int, row: Row) -> str:
-    area = row["contact_areas"][number]
-    count = area["touches"]
-    return f"{format_mm(area['median_m'])}, {100 * area['within_1_mm']:.0f} % ({count})" if count else "-"
+def _format_area(area: Row) -> str:
+    shown = f"{format_length(area['median_m'])}, {format_share(area['within_1_mm'])} ({area['touches']})"
+    return shown if area["touches"] else "-"
 
 
 def tabulate_posteriors(rows: Sequence[Row]) -> Table:
     """Return a row for each row of `summarise_touches`: the coverage of the credible sets, and mean metrics."""
-    columns = {**_RUN}
-    for k, level in enumerate(LEVELS):
-        columns[f"in the {100 * level:.0f} % set"] = partial(_format_coverage, k)
-    for head, name in {"NLL, nats": "nll_nats", "uniform": "uniform_nll_nats", "entropy": "entropy_nats"}.items():
-        columns[head] = partial(_format_nats, name)
-    for head, name in {"expected error, mm": "expected_error_m", "spread, mm": "spread_m"}.items():
-        columns[head] = partial(_format_mean, name)
-    return tabulate(rows, columns)
+    nats = {"NLL, nats": "nll_nats", "uniform": "uniform_nll_nats", "entropy": "entropy_nats"}
+    lengths = {"expected error, mm": "expected_error_m", "spread, mm": "spread_m"}
+    return tabulate(
+        {
+            **_name_run(row),
+            **{name_set(level): format_share(held) for level, held in zip(row["levels"], row["coverage"], strict=True)},
+            **{head: f"{row[name]:.2f}" for head, name in nats.items()},
+            **{head: format_mm(row[name]) for head, name in lengths.items()},
+        }
+        for row in rows
+    )
 
 
-def _format_coverage(number: int, row: Row) -> str:
-    return f"{100 * row['coverage'][number]:.0f} %"
+def name_set(level: float) -> str:
+    """Return the name of the credible set of a level, 0 to 1."""
+    return f"in the {100 * level:.0f} % set"
 
 
-def _format_nats(name: str, row: Row) -> str:
-    return f"{row[name]:.2f}"
+def tabulate_times(rows: Sequence[Row]) -> Table:
+    """Return a row for each row of `summarise_touches`: the median time of each stage, ms."""
+    return tabulate(
+        {**_name_run(row), **{stage: f"{1e3 * row['median_seconds'][stage]:.1f}" for stage in STAGES}} for row in rows
+    )
 
 
-def _format_mean(name: str, row: Row) -> str:
-    return format_mm(row[name])
+def _list_lengths(row: Row) -> dict[str, str]:
+    lengths = {name: format_mm(row[f"{name}_m"]) for name in ("median", "mean", "std")}
+    return {**lengths, "quartiles": f"{format_mm(row['q25_m'])} to {format_mm(row['q75_m'])}"}
 
 
-_LENGTHS: Columns = {
-    "line": itemgetter("line"),
-    "median": format_median,
-    "mean": lambda row: format_mm(row["mean_m"]),
-    "std": lambda row: format_mm(row["std_m"]),
-    "quartiles": lambda row: f"{format_mm(row['q25_m'])} to {format_mm(row['q75_m'])}",
-}
-_SHARES: Columns = {
-    "median / random": format_share_of_random,
-    "mean / random": lambda row: f"{row['mean_normalised']:.3f}",
-}
+def _list_shares(row: Row, names: Sequence[str] = ("median", "mean")) -> dict[str, str]:
+    return {f"{name} / random": f"{row[f'{name}_normalised']:.3f}" for name in names}
+
+
+def _split_runs(table: ExampleTable, rows: Sequence[Row]) -> Iterator[tuple[str, str, ExampleTable, list[Row]]]:
+    """Yield the heading, a description, the examples, and the rows, for ADD, of each object and encoder."""
+    for (name, encoder), run in table.group("object", "encoder").items():
+        about = f"{run['grid_poses'][0]} grid poses, symmetry {run['symmetry'][0]}"
+        own = [row for row in rows if (row["object"], row["encoder"], row["metric"]) == (name, encoder, "add")]
+        yield f"## {name}, {encoder}", about, run, own
 
 
 def format_markdown(table: ExampleTable, heading: str) -> str:
     """Return all tables of an evaluation from one touch as Markdown, lengths in mm."""
     lines, touches = summarise_lines(table, LINES, METRICS), summarise_touches(table)
-    times = {stage: partial(_format_time, stage) for stage in STAGES}
-    parts = [f"# {heading}\n"]
-    for note, some in (
-        (f"Median ADD in mm and, in brackets, {SHARE_NOTE}", tabulate_medians(lines)),
-        (AMBIGUITY_NOTE, tabulate_ambiguity(touches, lines)),
-        (AREA_NOTE, tabulate_areas(touches)),
-        ("Median time of each stage, ms:", tabulate(touches, {**_RUN, **times})),
-        (COVERAGE_NOTE, tabulate_posteriors(touches)),
-    ):
-        parts += [f"{note}\n", text_tables.format_markdown(some)]
-    for (name, encoder), run in table.group("object", "encoder").items():
-        others = {
-            f"median {metric.upper()}": lambda row, metric=metric: _format_line(lines, row["line"], row, metric)
-            for metric in ("mssd", "add-s")
-        }
-        columns = {**_LENGTHS, "90 %": lambda row: format_mm(row["p90_m"]), **_SHARES, **others}
-        about = f"{run['grid_poses'][0]} grid poses, symmetry {run['symmetry'][0]}; ADD, mm:"
-        own = ("add", name, encoder)
-        details = tabulate([row for row in lines if (row["metric"], row["object"], row["encoder"]) == own], columns)
-        parts.append(f"## {name}, {encoder}\n\n{about}\n\n{text_tables.format_markdown(details)}")
-    return "\n".join(parts)
-
-
-def _format_time(stage: str, row: Row) -> str:
-    return f"{1e3 * row['median_seconds'][stage]:.1f}"
+    parts: list[str | Table] = [f"Median ADD in mm and, in brackets, {SHARE_NOTE}", tabulate_medians(lines)]
+    parts += [AMBIGUITY_NOTE, tabulate_ambiguity(touches, lines), AREA_NOTE, tabulate_areas(touches)]
+    parts += ["Median time of each stage, ms:", tabulate_times(touches), COVERAGE_NOTE, tabulate_posteriors(touches)]
+    others = {f"median {metric.upper()}": _find_medians(lines, metric) for metric in ("mssd", "add-s")}
+    for title, about, _, rows in _split_runs(table, lines):
+        details = [
+            {
+                "line": row["line"],
+                **_list_lengths(row),
+                "90 %": format_mm(row["p90_m"]),
+                **_list_shares(row),
+                **{head: medians[row["object"], row["encoder"], row["line"]] for head, medians in others.items()},
+            }
+            for row in rows
+        ]
+        parts += [title, f"{about}; ADD, mm:", tabulate(details)]
+    return text_tables.format_document(heading, parts)
 
 
 def record_touches(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
@@ -268,9 +272,9 @@ def write_touch_tables(
     folder: Path, runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str
 ) -> list[Path]:
     """Write results.json, results.csv and results.md and return their paths. Raises OutputError."""
-    table, document = join_runs(runs), record_touches(runs, protocol)
+    document = record_touches(runs, protocol)
     csv = _format_csv(document["summary"], ("contacts", "without_common"))
-    return text_tables.write_texts(folder, "results", document, csv=csv, md=format_markdown(table, heading))
+    return text_tables.write_texts(folder, "results", document, csv=csv, md=format_markdown(join_runs(runs), heading))
 
 
 def _format_csv(rows: Sequence[Row], without: Sequence[str]) -> str:
@@ -286,33 +290,33 @@ def name_contacts(number: int) -> str:
     return "1 contact" if number == 1 else f"{number} contacts"
 
 
-def tabulate_contacts(rows: Sequence[Row], cell: Callable[[Row], str] = format_both) -> Table:
-    """Return a row for each object, encoder and line, from `summarise_lines`: the `cell` by number of contacts."""
+def tabulate_contacts(
+    rows: Sequence[Row], cell: Callable[[Row], str] = format_both, names: Sequence[str] = ("object", "encoder", "line")
+) -> Table:
+    """Return a row for each combination of `names`, from `summarise_lines`: the `cell` by number of contacts."""
     named = [{**row, "contacts": name_contacts(row["contacts"])} for row in rows]
-    return pivot(named, ("object", "encoder", "line"), "contacts", cell)
+    return pivot(named, names, "contacts", cell)
 
 
 def format_contacts_markdown(table: ExampleTable, heading: str) -> str:
     """Return all tables of an evaluation by number of contacts as Markdown, lengths in mm."""
     rows = summarise_lines(table, FUSED_LINES)
-    parts = [f"# {heading}\n", f"{CONTACTS_NOTE}\n", "Medians:\n", text_tables.format_markdown(tabulate_contacts(rows))]
-    line, *lengths = _LENGTHS.items()
-    columns = {
-        **dict([line, ("contacts", lambda row: str(row["contacts"])), *lengths]),
-        **_SHARES,
-        "std / random": lambda row: f"{row['std_normalised']:.3f}",
-        "without common pose": lambda row: str(row["without_common"]),
-    }
-    for (name, encoder), run in table.group("object", "encoder").items():
-        parts.append(f"## {name}, {encoder}\n")
-        parts.append(
-            f"{run['grid_poses'][0]} grid poses, symmetry {run['symmetry'][0]}; "
-            f"mean error of a random pose {format_mm(find_scale_m(run))} mm; "
-            f"{run.count_refused()} presses without a touch were refused\n"
-        )
-        own = [row for row in rows if (row["object"], row["encoder"]) == (name, encoder)]
-        parts.append(text_tables.format_markdown(tabulate(own, columns)))
-    return "\n".join(parts)
+    parts: list[str | Table] = [CONTACTS_NOTE, "Medians:", tabulate_contacts(rows)]
+    for title, about, run, own in _split_runs(table, rows):
+        details = [
+            {
+                "line": row["line"],
+                "contacts": str(row["contacts"]),
+                **_list_lengths(row),
+                **_list_shares(row, ("median", "mean", "std")),
+                "without common pose": str(row["without_common"]),
+            }
+            for row in own
+        ]
+        random = f"mean error of a random pose {format_mm(find_scale_m(run))} mm"
+        refused = f"{run.count_refused()} presses without a touch were refused"
+        parts += [title, f"{about}; {random}; {refused}", tabulate(details)]
+    return text_tables.format_document(heading, parts)
 
 
 def record_contacts(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any]) -> dict[str, Any]:

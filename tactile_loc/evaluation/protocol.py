@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey
+from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 Arrays = Sequence[NDArray[Any]]
@@ -142,12 +143,8 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Exa
     be located.
     """
 
-    def run(work: Workspace) -> None:
-        evaluator = TouchEvaluator(localizer)
-        save_in_shards(work, ARRAYS, count, SHARD, lambda numbers: _localise(evaluator, numbers, touches))
-
-    artifact = localizer.store.build(make_evaluation_key(localizer, count, touches), run)
-    arrays = {name: artifact.load_array(name, mmap=False) for name in ARRAYS}
+    evaluator, key = TouchEvaluator(localizer), make_evaluation_key(localizer, count, touches)
+    arrays = measure_in_shards(localizer.store, key, ARRAYS, count, SHARD, partial(_localise, evaluator, touches))
     errors_m, seconds, metrics = (arrays.pop(name) for name in ("errors_m", "seconds", "posterior_metrics"))
     columns = {
         **name_errors(errors_m, LINES, METRICS),
@@ -176,7 +173,7 @@ def make_evaluation_key(localizer: Localizer, count: int, touches: SimulatedTouc
     return StageKey("evaluation", PROTOCOL_VERSION, {**describe_located(localizer, touches, count), **refiner})
 
 
-def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: SimulatedTouches) -> list[NDArray[Any]]:
+def _localise(evaluator: TouchEvaluator, source: SimulatedTouches, numbers: Sequence[int]) -> list[NDArray[Any]]:
     """Return the ARRAYS of some touches."""
     localizer = evaluator.localizer
     touches, refused = zip(*(source.draw_counted(localizer, number) for number in numbers), strict=True)
@@ -197,18 +194,23 @@ def _localise(evaluator: TouchEvaluator, numbers: Sequence[int], source: Simulat
     return [*measured, ambiguity, np.array([touch.contact_share for touch in touches]), np.array(refused)]
 
 
-def save_in_shards(
-    work: Workspace, names: Sequence[str], count: int, size: int, make: Callable[[range], Arrays]
-) -> None:
-    """Save the arrays `names`, each with a row for each of `count` numbers, which are made in shards of `size`.
+def measure_in_shards(
+    store: StageStore, key: StageKey, names: Sequence[str], count: int, size: int, make: Callable[[range], Arrays]
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays `names`, each with a row for each of `count` numbers, from the store or made now.
 
-    `make` takes a range of numbers, and returns an array of their rows for each name. Shards that an interrupted run
-    saved are loaded.
+    `make` takes a range of at most `size` numbers, and returns an array of their rows for each name. Shards that an
+    interrupted run saved are loaded.
     """
-    every = range(count)
-    shards = [_make_shard(work, names, every[start : start + size], make) for start in every[::size]]
-    for name, columns in zip(names, zip(*shards, strict=True), strict=True):
-        work.save_array(name, np.concatenate(columns))
+
+    def run(work: Workspace) -> None:
+        every = range(count)
+        shards = [_make_shard(work, names, every[start : start + size], make) for start in every[::size]]
+        for name, columns in zip(names, zip(*shards, strict=True), strict=True):
+            work.save_array(name, np.concatenate(columns))
+
+    artifact = store.build(key, run)
+    return {name: artifact.load_array(name, mmap=False) for name in names}
 
 
 def _make_shard(work: Workspace, names: Sequence[str], numbers: range, make: Callable[[range], Arrays]) -> Arrays:

@@ -19,15 +19,14 @@ from tactile_loc.io.streams.records import read_versions
 from tactile_loc.store.files import write_atomically, write_text
 
 Row = dict[str, Any]
-Columns = Mapping[str, Callable[[Any], str]]
-"""Headings, each with a function of a row that gives the cell."""
 Table = list[list[str]]
 """Rows of cells; the first row names the columns."""
 
 
-def tabulate(rows: Iterable[Row], columns: Columns) -> Table:
-    """Return a table with a row for each row, and these columns."""
-    return [list(columns), *([cell(row) for cell in columns.values()] for row in rows)]
+def tabulate(rows: Iterable[Mapping[str, str]]) -> Table:
+    """Return the table of at least one row; a row maps headings, which are the same for all rows, to cells."""
+    found = list(rows)
+    return [list(found[0]), *(list(row.values()) for row in found)]
 
 
 def pivot(rows: Iterable[Row], names: Sequence[str], column: str, cell: Callable[[Any], str]) -> Table:
@@ -58,6 +57,12 @@ def format_markdown(table: Sequence[Sequence[str]]) -> str:
     header, *rows = table
     lines = ([cell.replace("|", "\\|") for cell in line] for line in (header, ["---"] * len(header), *rows))
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def format_document(heading: str, parts: Iterable[str | Table]) -> str:
+    """Return a heading, paragraphs and tables as Markdown."""
+    texts = (f"{part}\n" if isinstance(part, str) else format_markdown(part) for part in parts)
+    return "\n".join([f"# {heading}\n", *texts])
 
 
 def format_csv(rows: Sequence[Row]) -> str:

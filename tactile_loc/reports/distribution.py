@@ -7,7 +7,7 @@ axis, and by the side of the object that faces the sensor.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,37 +136,6 @@ def compute_vertex_normals(mesh: TriangleMesh) -> Array:
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
 
 
-@dataclass(frozen=True, eq=False)
-class YawHistogram:
-    """Probability by yaw about the sensor's +z.
-
-    `yaw_deg` (B,) are the middles of the bars, which are `width_deg` wide. `mass` (B,) is the probability of each bar,
-    with sum one.
-    """
-
-    yaw_deg: Array
-    mass: Array
-    width_deg: float
-
-
-@dataclass(frozen=True, eq=False)
-class SideMap:
-    """Probability by the side of the object that faces the sensor: `mass` (Y, X), with sum one.
-
-    `normal` (3,) is a side's normal in the object frame. `x` and `y` are the edges of the bins, in degrees.
-    Kind "one": the side `normal` faces the sensor in all poses, and there are no bins.
-    Kind "lean": the bins are the angles by which the side `normal` leans towards the sensor's x and y.
-    Kind "globe": the bins are the azimuth and elevation of the facing side in the object frame, with equal areas;
-    `normal` is the side of the most probable rotation.
-    """
-
-    kind: Literal["one", "lean", "globe"]
-    normal: Array
-    x: Array
-    y: Array
-    mass: Array
-
-
 def compute_yaw_rad(R: Array) -> Array:
     """Return the yaw (N,) about the sensor's z of rotations R_sensor_object (N, 3, 3), radians, -pi to pi.
 
@@ -178,49 +147,51 @@ def compute_yaw_rad(R: Array) -> Array:
     return np.where(flipped, np.arctan2(R[:, 1, 0], R[:, 0, 0]), yaw)
 
 
-def count_yaws(R: Array, weights: Array) -> YawHistogram:
-    """Sum the weights (N,) of rotations R_sensor_object (N, 3, 3) by yaw.
+def count_yaws(R: Array, weights: Array) -> dict[str, Any]:
+    """Sum the weights (N,), with sum one, of rotations R_sensor_object (N, 3, 3) by yaw about the sensor's +z.
 
-    If there are at most `MOST_YAWS` yaws, at least 1 degree apart, each yaw has a bar. Otherwise, a bar is 10 degrees
-    wide.
+    Returns JSON values: the middles `deg` (B,) of bars, which are `width` degrees wide, and the probability `percent`
+    (B,) of each. If there are at most `MOST_YAWS` yaws, at least 1 degree apart, each yaw has a bar. Otherwise, a bar
+    is 10 degrees wide.
     """
     yaw_deg = np.degrees(compute_yaw_rad(R)) % 360.0
-    values, which = np.unique(np.round(yaw_deg, 2) % 360.0, return_inverse=True)
-    step_deg = float(np.diff(values).min()) if len(values) > 1 else 360.0 / YAW_BINS
-    if len(values) <= MOST_YAWS and step_deg >= 1.0:
-        return YawHistogram(values, np.bincount(which.ravel(), weights, len(values)).astype(float), min(step_deg, 30.0))
-    width_deg = 360.0 / YAW_BINS
-    bins = np.minimum((yaw_deg / width_deg).astype(int), YAW_BINS - 1)
-    middles = np.linspace(0.5, YAW_BINS - 0.5, YAW_BINS) * width_deg
-    return YawHistogram(middles, np.bincount(bins, weights, YAW_BINS).astype(float), width_deg)
+    middles, which = np.unique(np.round(yaw_deg, 2) % 360.0, return_inverse=True)
+    bins, width_deg = which.ravel(), 360.0 / YAW_BINS
+    step_deg = float(np.diff(middles).min()) if len(middles) > 1 else width_deg
+    if len(middles) <= MOST_YAWS and step_deg >= 1.0:
+        width_deg = min(step_deg, 30.0)
+    else:
+        bins = np.minimum((yaw_deg / width_deg).astype(int), YAW_BINS - 1)
+        middles = np.asarray((np.arange(YAW_BINS) + 0.5) * width_deg)
+    percent = 100 * np.bincount(bins, weights, len(middles))
+    return {"deg": middles.round(3).tolist(), "percent": percent.tolist(), "width": width_deg}
 
 
-def map_sides(R: Array, weights: Array) -> SideMap:
-    """Sum the weights (N,) of rotations R_sensor_object (N, 3, 3) by the side of the object that faces the sensor."""
-    facing = -R[:, 2, :]
-    mean = facing.mean(axis=0)
-    if np.linalg.norm(mean) < 1e-6:
-        return _map_globe(facing, weights)
-    normal = mean / np.linalg.norm(mean)
+def map_sides(R: Array, weights: Array) -> dict[str, Any]:
+    """Sum the weights (N,), with sum one, of rotations R_sensor_object (N, 3, 3) by the side that faces the sensor.
+
+    Returns JSON values: the probability `percent` (Y, X) of bins with the edges `x` and `y`, degrees, and the `normal`
+    (3,) of a side in the object frame.
+    Kind "one": the side `normal` faces the sensor in all poses, and there are no bins.
+    Kind "lean": the bins are the angles by which the side `normal` leans towards the sensor's x and y.
+    Kind "globe": the bins are the azimuth and elevation of the facing side in the object frame, with equal areas;
+    `normal` is the side of the most probable rotation.
+    """
+    facing: Array = -R[:, 2, :]
+    mean: Array = facing.mean(axis=0)
+    normal = mean / max(float(np.linalg.norm(mean)), 1e-6)
     widest_deg = float(np.degrees(np.arccos(np.clip(facing @ normal, -1, 1))).max())
+    kind, x, y, mass = "one", np.zeros(0), np.zeros(0), np.ones((1, 1))
     if widest_deg > CAP_DEG:
-        return _map_globe(facing, weights)
-    return _map_lean(R, weights, normal, widest_deg)
-
-
-def _map_globe(facing: Array, weights: Array) -> SideMap:
-    azimuth_deg = np.degrees(np.arctan2(facing[:, 1], facing[:, 0]))
-    x, heights = np.linspace(-180, 180, AZIMUTHS + 1), np.linspace(-1, 1, HEIGHTS + 1)
-    mass, _, _ = np.histogram2d(np.clip(facing[:, 2], -1, 1), azimuth_deg, (heights, x), weights=weights)
-    best = facing[weights.argmax()]
-    return SideMap("globe", best, x, np.degrees(np.arcsin(heights)), mass)
-
-
-def _map_lean(R: Array, weights: Array, normal: Array, widest_deg: float) -> SideMap:
-    if widest_deg < SAME_SIDE_DEG:
-        return SideMap("one", normal, np.zeros(0), np.zeros(0), np.ones((1, 1)))
-    side = R @ normal
-    lean_deg = np.degrees(np.arctan2(side[:, :2], -side[:, 2:]))
-    edges = np.linspace(-1, 1, LEANS + 1) * (float(np.abs(lean_deg).max()) * (1 + 1 / LEANS))
-    mass, _, _ = np.histogram2d(lean_deg[:, 1], lean_deg[:, 0], (edges, edges), weights=weights)
-    return SideMap("lean", normal, edges, edges, mass)
+        kind, normal = "globe", facing[weights.argmax()]
+        azimuth_deg = np.degrees(np.arctan2(facing[:, 1], facing[:, 0]))
+        x, heights = np.linspace(-180, 180, AZIMUTHS + 1), np.linspace(-1, 1, HEIGHTS + 1)
+        mass, _, _ = np.histogram2d(np.clip(facing[:, 2], -1, 1), azimuth_deg, (heights, x), weights=weights)
+        y = np.degrees(np.arcsin(heights))
+    elif widest_deg >= SAME_SIDE_DEG:
+        kind, side = "lean", R @ normal
+        lean_deg = np.degrees(np.arctan2(side[:, :2], -side[:, 2:]))
+        x = y = np.linspace(-1, 1, LEANS + 1) * (float(np.abs(lean_deg).max()) * (1 + 1 / LEANS))
+        mass, _, _ = np.histogram2d(lean_deg[:, 1], lean_deg[:, 0], (y, x), weights=weights)
+    arrays = {"normal": normal, "x": x, "y": y, "percent": 100 * mass}
+    return {"kind": kind, **{name: values.tolist() for name, values in arrays.items()}}

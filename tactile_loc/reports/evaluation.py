@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation import metrics, paper_tables
-from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES
+from tactile_loc.evaluation.protocol import LINES, METRICS
 from tactile_loc.evaluation.recall import tables
 from tactile_loc.evaluation.summary import VERDICTS, bin_probabilities
 from tactile_loc.evaluation.table import ExampleTable
@@ -34,12 +34,17 @@ Run = dict[str, Any]
 def make_evaluation_page(path: Path) -> Page:
     """Return the page of an evaluation from its results.json. Raises ResultError if the file's version differs."""
     document, runs, table = read_evaluation(path, paper_tables.TOUCH_SCHEMA)
+    lines = document["summary"]
+    medians = {
+        kind: paper_tables.tabulate_medians(lines, cell)
+        for kind, cell in (("lengths", paper_tables.format_median), ("shares", paper_tables.format_share_of_random))
+    }
     sections = [
-        Section("summary", "", {"numbers": _list_numbers(document, runs)}),
-        Section("medians", "Medians", _tabulate_medians(document, runs)),
+        Section("summary", "", {"numbers": list(_list_numbers(document, runs))}),
+        Section("medians", "Medians", medians),
         Section("errors", "Errors", _list_choices(runs)),
-        Section("posterior", "Calibration of the probabilities", _tabulate_posteriors(runs)),
-        Section("times", "Times", _tabulate_times(runs)),
+        Section("posterior", "Calibration of the probabilities", {"rows": paper_tables.tabulate_posteriors(runs)}),
+        Section("times", "Times", {"rows": paper_tables.tabulate_times(runs)}),
         Section("gallery", "Best, median and worst touches", {"pictures": _collect_gallery(path.parent, runs)}),
         describe_settings(document, runs),
     ]
@@ -57,15 +62,19 @@ def make_contacts_page(path: Path) -> Page:
     Raises ResultError if the file's version differs.
     """
     document, runs, _ = read_evaluation(path, paper_tables.CONTACTS_SCHEMA)
-    lines = {run["name"]: _group_lines(document, run) for run in runs}
+    rows = document["summary"]
+    lines = list(dict.fromkeys(row["line"] for row in rows))
+    alone = [row for row in rows if row["line"] == CONTACTS_LINE]
+    without = paper_tables.tabulate_contacts(alone, lambda row: str(row["without_common"]), ("object", "encoder"))
     sections = [
-        Section("summary", "", {"numbers": [_summarise_contacts(run["name"], lines) for run in runs]}),
-        Section("curves", "Errors by number of contacts", {"lines": ["all", *lines[runs[0]["name"]]]}),
-        Section("medians", "Medians", _tabulate_contacts(lines)),
+        Section("summary", "", {"numbers": [_summarise_contacts(document, run) for run in runs]}),
+        Section("curves", "Errors by number of contacts", {"lines": ["all", *lines]}),
+        Section("medians", "Medians", {"rows": paper_tables.tabulate_contacts(rows), "without": without}),
         describe_settings(document, runs),
     ]
     title = f"Several contacts: {', '.join(dict.fromkeys(run['object'] for run in runs))}"
-    data = {"runs": [{"name": name, "lines": _collect_quartiles(rows)} for name, rows in lines.items()]}
+    drawn = [{line: _collect_quartiles(_select_rows(document, run, line)) for line in lines} for run in runs]
+    data = {"runs": [{"name": run["name"], "lines": some} for run, some in zip(runs, drawn, strict=True)]}
     about = _describe_protocol(document, "examples", "simulated examples")
     return Page("contacts", title, about, sections, data, ["errors.js", "contacts.js"])
 
@@ -164,54 +173,26 @@ def _describe_examples(document: Mapping[str, Any]) -> str:
     return f"{what}; protocol {protocol['version']}; {document['created']}"
 
 
-def _group_lines(document: Mapping[str, Any], run: Run) -> dict[str, list[Run]]:
-    """Return the rows of the summary of a run by line, for ADD."""
-    found: dict[str, list[Run]] = {}
-    for row in document["summary"]:
-        if (row["object"], row["encoder"], row["metric"]) == (run["object"], run["encoder"], "add"):
-            found.setdefault(row["line"], []).append(row)
-    return found
+def _select_rows(document: Mapping[str, Any], run: Run, line: str) -> list[Run]:
+    """Return the rows of the summary of a run for a line and ADD: one for each number of contacts."""
+    wanted = {"object": run["object"], "encoder": run["encoder"], "line": line, "metric": "add"}
+    return [row for row in document["summary"] if wanted.items() <= row.items()]
 
 
 # ---- from one touch
 
 
-def _list_numbers(document: Mapping[str, Any], runs: Sequence[Run]) -> list[tuple[str, str, str]]:
-    (medians,) = zip(*(_group_lines(document, run)[FIRST_LINE] for run in runs), strict=True)
-    ambiguous = float(np.mean([run["ambiguous"] for run in runs]))
-    middle_mm = format_mm(float(np.median([row["median_m"] for row in medians])))
-    share = float(np.median([row["median_normalised"] for row in medians]))
-    covered = np.mean([run["coverage"] for run in runs], axis=0)
+def _list_numbers(document: Mapping[str, Any], runs: Sequence[Run]) -> Iterator[tuple[str, str, str]]:
+    medians = [row for run in runs for row in _select_rows(document, run, FIRST_LINE)]
+    middle_m, share = (float(np.median([row[f"median_{unit}"] for row in medians])) for unit in ("m", "normalised"))
     of_all = f"the median of {len(runs)} medians" if len(runs) > 1 else f"of {runs[0]['object']}"
-    sets = [
-        (_name_set(level), f"{100 * held:.0f} %", f"of the true poses; ideal: {100 * level:.0f} %")
-        for level, held in zip(runs[0]["levels"], covered, strict=True)
-    ]
-    return [
-        (f"median ADD, {FIRST_LINE}", f"{middle_mm} mm", of_all),
-        ("normalised", f"{share:.3f}", "the same, divided by the mean error of random poses"),
-        ("ambiguous touches", f"{100 * ambiguous:.0f} %", "a distant pose makes the same contact, within noise"),
-        *sets,
-    ]
-
-
-def _name_set(level: float) -> str:
-    return f"in the {100 * level:.0f} % set"
-
-
-def _tabulate_medians(document: Mapping[str, Any], runs: Sequence[Run]) -> dict[str, Any]:
-    lengths, shares = (
-        [
-            [
-                run["name"],
-                run["grid_poses"],
-                *(cell(_group_lines(document, run)[line][0]) for line in paper_tables.SHOWN),
-            ]
-            for run in runs
-        ]
-        for cell in (paper_tables.format_median, paper_tables.format_share_of_random)
-    )
-    return {"header": ["object", "grid poses", *paper_tables.SHOWN], "lengths": lengths, "shares": shares}
+    yield f"median ADD, {FIRST_LINE}", f"{format_mm(middle_m)} mm", of_all
+    yield "normalised", f"{share:.3f}", "the same, divided by the mean error of random poses"
+    ambiguous = float(np.mean([run["ambiguous"] for run in runs]))
+    yield "ambiguous touches", format_share(ambiguous), "a distant pose makes the same contact, within noise"
+    for level, *held in zip(runs[0]["levels"], *(run["coverage"] for run in runs), strict=True):
+        ideal = f"of the true poses; ideal: {format_share(level)}"
+        yield paper_tables.name_set(level), format_share(float(np.mean(held))), ideal
 
 
 def _list_choices(runs: Sequence[Run]) -> dict[str, Any]:
@@ -223,29 +204,6 @@ def _list_choices(runs: Sequence[Run]) -> dict[str, Any]:
         "lines": list(LINES),
         "first": FIRST_LINE,
     }
-
-
-def _tabulate_posteriors(runs: Sequence[Run]) -> dict[str, Any]:
-    header = [
-        "object",
-        *map(_name_set, runs[0]["levels"]),
-        "NLL (nats)",
-        "uniform NLL (nats)",
-        "entropy (nats)",
-        "expected error (mm)",
-        "spread (mm)",
-    ]
-    rows = []
-    for run in runs:
-        held = [f"{100 * share:.0f} %" for share in run["coverage"]]
-        nats = [f"{run[key]:.2f}" for key in ("nll_nats", "uniform_nll_nats", "entropy_nats")]
-        rows.append([run["name"], *held, *nats, format_mm(run["expected_error_m"]), format_mm(run["spread_m"])])
-    return {"header": header, "rows": rows}
-
-
-def _tabulate_times(runs: Sequence[Run]) -> dict[str, Any]:
-    rows = [[run["name"], *(f"{1e3 * run['median_seconds'][stage]:.2f}" for stage in STAGES)] for run in runs]
-    return {"header": ["object", *(f"{stage} (ms)" for stage in STAGES)], "rows": rows}
 
 
 def _collect_gallery(folder: Path, runs: Sequence[Run]) -> list[tuple[str, str]]:
@@ -282,40 +240,23 @@ def _round(values: NDArray[np.float64], digits: int = DIGITS) -> list[float]:
 # ---- from several contacts
 
 
-def _summarise_contacts(name: str, lines: Mapping[str, Mapping[str, Sequence[Run]]]) -> tuple[str, str, str]:
-    first, *_, last = [*lines[name][CONTACTS_LINE][:1], *lines[name][CONTACTS_LINE]]
-    medians = f"{format_mm(first['median_m'])} → {format_mm(last['median_m'])} mm"
-    numbers = [paper_tables.name_contacts(row["contacts"]) for row in (first, last)]
-    return name, medians, f"median ADD from {numbers[0]} to {numbers[1]}"
+def _summarise_contacts(document: Mapping[str, Any], run: Run) -> tuple[str, str, str]:
+    rows = _select_rows(document, run, CONTACTS_LINE)
+    medians, numbers = zip(
+        *((format_mm(row["median_m"]), paper_tables.name_contacts(row["contacts"])) for row in (rows[0], rows[-1])),
+        strict=True,
+    )
+    return run["name"], f"{' → '.join(medians)} mm", f"median ADD from {' to '.join(numbers)}"
 
 
-def _tabulate_contacts(lines: Mapping[str, Mapping[str, Sequence[Run]]]) -> dict[str, Any]:
-    rows = [
-        [name, line, *map(paper_tables.format_both, entries)]
-        for name, by_line in lines.items()
-        for line, entries in by_line.items()
-    ]
-    by_name = {name: by_line[CONTACTS_LINE] for name, by_line in lines.items()}
-    return {
-        "contacts": [paper_tables.name_contacts(row["contacts"]) for row in next(iter(by_name.values()))],
-        "rows": rows,
-        "without": [[name, *(row["without_common"] for row in entries)] for name, entries in by_name.items()],
-    }
-
-
-def _collect_quartiles(lines: Mapping[str, Sequence[Run]]) -> dict[str, Any]:
-    """Return the medians and quartiles by line for the page's scripts, in mm and as shares."""
+def _collect_quartiles(rows: Sequence[Run]) -> dict[str, Any]:
+    """Return the medians and quartiles of a line for the page's scripts, in mm and as shares."""
     kinds = {"metres": ("m", 1e3), "normalised": ("normalised", 1.0)}
-    return {
-        line: {
-            "contacts": [row["contacts"] for row in rows],
-            **{
-                kind: {name: [factor * row[f"{name}_{unit}"] for row in rows] for name in ("median", "q25", "q75")}
-                for kind, (unit, factor) in kinds.items()
-            },
-        }
-        for line, rows in lines.items()
+    quartiles = {
+        kind: {name: [factor * row[f"{name}_{unit}"] for row in rows] for name in ("median", "q25", "q75")}
+        for kind, (unit, factor) in kinds.items()
     }
+    return {"contacts": [row["contacts"] for row in rows], **quartiles}
 
 
 # ---- answers

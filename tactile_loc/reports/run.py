@@ -62,11 +62,13 @@ def make_result_page(found: Localization) -> Page:
 def collect_data(found: Localization) -> dict[str, Any]:
     """Return the values for the scripts of a run's page; lengths in mm, angles in degrees, times in ms."""
     poses, truth = np.array([h.T_sensor_object for h in found.hypotheses]), found.touch.T_sensor_object
+    R, weights = found.posterior.grid.T_sensor_object[:, :3, :3], compute_weights(found.posterior)
     return {
         "candidates": _describe_candidates(found),
         **scene.build_sensor_scene(DrawnScene.of(found)),
         "surface": scene.build_surface_scene(find_surface(found), poses, truth, found.touch.geometry),
-        **_sum_rotations(found.posterior),
+        "yaw": count_yaws(R, weights),
+        "side": map_sides(R, weights),
         "times": [[stage, 1e3 * s] for stage, s in found.seconds.items() if stage not in BEFORE],
     }
 
@@ -102,21 +104,6 @@ def _pair_errors(found: Localization) -> Iterator[tuple[Hypothesis, float | None
     """Yield the hypotheses, each with its surface distance to the true pose, metres, or None."""
     errors = found.assessment.errors
     yield from zip_longest(found.hypotheses, () if errors is None else errors.of_hypotheses_m)
-
-
-def _sum_rotations(posterior: PosePosterior) -> dict[str, Any]:
-    R, weights = posterior.grid.T_sensor_object[:, :3, :3], compute_weights(posterior)
-    yaw, side = count_yaws(R, weights), map_sides(R, weights)
-    return {
-        "yaw": {"deg": yaw.yaw_deg.round(3).tolist(), "percent": (100 * yaw.mass).tolist(), "width": yaw.width_deg},
-        "side": {
-            "kind": side.kind,
-            "normal": side.normal.tolist(),
-            "x": side.x.tolist(),
-            "y": side.y.tolist(),
-            "percent": (100 * side.mass).tolist(),
-        },
-    }
 
 
 def _write_about(found: Localization) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +15,8 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.view.drawn_scene import EDGE, GEL, HOUSING, STEEL, TRUTH, DrawnScene, DrawnSensor, move_triangles
 from tactile_loc.view.pictures import draw_contact_shape, draw_outline, make_figure
-from tactile_loc.view.pose_panel import choose_view, fit_bounds, paint, thicken
-from tactile_loc.view.raytracing import Bounds, Tracer, Viewpoint, average, shade, unmultiply
+from tactile_loc.view.pose_panel import SUPERSAMPLE, Canvas, choose_view, fit_bounds
+from tactile_loc.view.raytracing import average, unmultiply
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +27,7 @@ Image = NDArray[np.float32]  # (H, W, 4): colours, 0 to 1, multiplied by opacity
 
 SHAPE = 0.21  # width of a drawn contact shape, in widths of its side of the figure
 MOST_GHOSTS, MOST_SHAPES = 6, 4  # largest numbers of drawn poses of the first touch, and of drawn contact shapes
-PIXELS, SUPERSAMPLE = 480, 2
+PIXELS = 480
 GHOST, SEEN_THROUGH, TRUTH_OPACITY = 0.45, 0.5, 0.95  # opacity of the first touch's poses, other sensors and lines
 EDGE_STEP = 0.04  # depth step that counts as an edge, in sizes of the object
 WIDTH_IN, HEIGHT_IN = 13.6, 7.0
@@ -85,8 +84,8 @@ def _draw_shape(axes: Axes, touch: Touch, name: str) -> None:
 
 def _draw_image(panel: SubFigure, view: _SharedView, image: Image) -> Axes:
     axes: Axes = panel.add_axes((0.02, 0.055, 0.96, 0.545))
-    axes.imshow(unmultiply(image), extent=view.bounds, interpolation="antialiased")
-    axes.set(xlim=view.bounds[:2], ylim=view.bounds[2:], aspect="equal")
+    axes.imshow(unmultiply(image), extent=view.canvas.bounds, interpolation="antialiased")
+    axes.set(xlim=view.canvas.bounds[:2], ylim=view.canvas.bounds[2:], aspect="equal")
     axes.set_axis_off()
     return axes
 
@@ -106,8 +105,7 @@ class _SharedView:
     """A scene from one viewpoint, for both sides of the figure."""
 
     scene: DrawnScene
-    view: Viewpoint
-    bounds: Bounds
+    canvas: Canvas
 
     @classmethod
     def of(cls, scene: DrawnScene, ghosts: Sequence[Array]) -> _SharedView:
@@ -115,22 +113,9 @@ class _SharedView:
         view = choose_view(scene.mesh, scene.poses[0])
         posed = [move_triangles(scene.mesh.triangles_m, T) for T in ghosts]
         sensors = [part for sensor in scene.sensors for part in (sensor.gel_m, sensor.housing_m)]
-        return cls(
-            scene, view, fit_bounds(view, [1e3 * part for part in (scene.object_m, *posed, *sensors)], MARGIN, MARGIN)
-        )
-
-    @cached_property
-    def shape(self) -> tuple[int, int]:
-        """Size (H, W) of the pictures before they are averaged."""
-        left, right, bottom, top = self.bounds
-        scale = PIXELS * SUPERSAMPLE / max(right - left, top - bottom)
-        height, width = (SUPERSAMPLE * round(scale * mm / SUPERSAMPLE) for mm in (top - bottom, right - left))
-        return height, width
-
-    @cached_property
-    def step_mm(self) -> float:
-        """The depth step that counts as an edge, mm."""
-        return EDGE_STEP * 1e3 * float(np.ptp(self.scene.mesh.triangles_m.reshape(-1, 3), axis=0).max())
+        bounds = fit_bounds(view, [1e3 * part for part in (scene.object_m, *posed, *sensors)], MARGIN, MARGIN)
+        size_mm = 1e3 * float(np.ptp(scene.mesh.triangles_m.reshape(-1, 3), axis=0).max())
+        return cls(scene, Canvas(view, bounds, PIXELS, EDGE_STEP * size_mm))
 
     def draw_ghosts(self, T_sensor_object: Sequence[Array]) -> Image:
         """Return a picture of the first sensor and the object at each pose, seen through."""
@@ -150,7 +135,7 @@ class _SharedView:
         from matplotlib.patheffects import withStroke
 
         solids = [self.scene.object_m, *(sensor.gel_m for sensor in self.scene.sensors)]
-        flat = [self.view.project(1e3 * triangles_m).reshape(-1, 2) for triangles_m in solids]
+        flat = [self.canvas.view.project(1e3 * triangles_m).reshape(-1, 2) for triangles_m in solids]
         middles = np.stack([points.mean(axis=0) for points in flat])
         halo = [withStroke(linewidth=2.5, foreground="white")]
         for number, corners in enumerate(flat[1:]):
@@ -163,18 +148,14 @@ class _SharedView:
         surfaces = [move_triangles(self.scene.mesh.triangles_m, T) for T in T_sensor_object]
         colours = [STEEL] * len(surfaces) + [GEL, HOUSING] * len(sensors)
         surfaces += [part for sensor in sensors for part in (sensor.gel_m, sensor.housing_m)]
-        tracer = Tracer([1e3 * surface for surface in surfaces], self.view)
-        seen = tracer.look(self.bounds, self.shape)
-        image = shade(seen, np.array(colours), tracer.cast_shadow(seen, 0.02))
-        paint(image, seen.find_edges(self.step_mm) & seen.hit, EDGE, 0.75)
+        _, image = self.canvas.draw_solids([1e3 * surface for surface in surfaces], colours)
         return average(image, SUPERSAMPLE)
 
     def _mark_truth(self, image: Image) -> Image:
         if self.scene.truth_m is None:
             return image
-        seen = Tracer([1e3 * self.scene.truth_m], self.view).look(self.bounds, self.shape)
-        lines = np.zeros((*self.shape, 4), np.float32)
-        paint(lines, thicken(seen.find_edges(self.step_mm)), TRUTH, 1.0)
+        lines = np.zeros((*self.canvas.shape, 4), np.float32)
+        self.canvas.draw_edges(lines, 1e3 * self.scene.truth_m, TRUTH, 1.0)
         return _blend(image, average(lines, SUPERSAMPLE), TRUTH_OPACITY)
 
 

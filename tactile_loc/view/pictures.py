@@ -38,9 +38,11 @@ DPI = 130
 LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # keeps the labels of panels apart
 
 
-def draw_result(
-    localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | NDArray[np.float64] | None = None
-) -> Figure:
+Errors = Sequence[float] | NDArray[np.float64] | None
+"""The errors (K,) of hypotheses, metres, if they are known."""
+
+
+def draw_result(localization: Localization, scene: Scene, title: str, errors_m: Errors = None) -> Figure:
     """Draw the touches, the contact shapes of the best hypotheses, and the object on the sensor.
 
     Each contact shape has the touch's outline. If a single touch was estimated from an image, the image comes first,
@@ -48,42 +50,20 @@ def draw_result(
     are named; the hypotheses and the object are those of the first touch. `scene` must have the first touch's geometry.
     `errors_m` (K,) are the errors of the K hypotheses, in metres.
     """
-    if len(localization.touches) > 1:
-        return _draw_together(localization, scene, title, errors_m)
-    columns = _count_columns(localization)
-    photo = [] if localization.touch.image is None else [4.7]
-    widths = [*photo, 4.7, 2.5 * columns, 6.3]
+    several, columns = len(localization.touches) > 1, 1 if len(localization.hypotheses) < 3 else 2
+    photo = [] if several or localization.touch.image is None else [4.7]
+    widths = [*photo, 6.3 if several else 4.7, 2.5 * columns, 6.3]
     figure = make_figure(sum(widths), 5.9)
     figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.978)
     panels: Any = figure.subfigures(1, len(widths), width_ratios=widths)
     left, middle, right = panels[-3:]
     if photo:
         _draw_photo(panels[0], localization, scene)
-    _draw_observed(left, localization.touch)
+    draw = _draw_all_observed if several else _draw_observed
+    draw(left, localization)
     _draw_candidates(middle, localization, scene, errors_m, columns)
     _draw_scene(right, localization)
     return figure
-
-
-def _draw_together(
-    localization: Localization, scene: Scene, title: str, errors_m: Sequence[float] | NDArray[np.float64] | None
-) -> Figure:
-    """Draw the result of several touches: all touches in a grid, then the hypotheses and the object."""
-    columns = _count_columns(localization)
-    widths = [6.3, 2.5 * columns, 6.3]
-    figure = make_figure(sum(widths), 5.9)
-    figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.978)
-    panels: Any = figure.subfigures(1, 3, width_ratios=widths)
-    left, middle, right = panels
-    _draw_all_observed(left, localization)
-    _draw_candidates(middle, localization, scene, errors_m, columns)
-    _draw_scene(right, localization)
-    return figure
-
-
-def _count_columns(localization: Localization) -> int:
-    """Return the number of columns of hypotheses."""
-    return 1 if len(localization.hypotheses) < 3 else 2
 
 
 def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
@@ -161,14 +141,19 @@ def _save(figure: Figure, file: Path | BytesIO, dpi: int | None) -> None:
     figure.savefig(file, dpi=dpi or DPI, facecolor="white", format=kind)
 
 
-def _draw_observed(panel: SubFigure, touch: Touch) -> None:
+def _draw_observed(panel: SubFigure, localization: Localization) -> None:
+    touch = localization.touch
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
     image = draw_contact_shape(axes, touch.contact_shape, touch.geometry)
     draw_outline(axes, touch)
     axes.set_xlabel("x (mm)", size=9, labelpad=2)
     axes.set_ylabel("y (mm)", size=9, labelpad=-2)
     _write_heading(panel, "observed contact shape")
-    bar = panel.add_axes((0.125, 0.095, 0.85, 0.022))
+    _add_depth_bar(panel, image, 0.85)
+
+
+def _add_depth_bar(panel: SubFigure, image: AxesImage, width: float) -> None:
+    bar = panel.add_axes((0.125, 0.095, width, 0.022))
     panel.colorbar(image, cax=bar, orientation="horizontal")
     bar.set_xlabel("depth from full penetration (mm); grey: no contact", size=9, labelpad=2)
     bar.tick_params(labelsize=8)
@@ -189,10 +174,7 @@ def _draw_all_observed(panel: SubFigure, localization: Localization) -> None:
         draw_outline(axes, touch)
         axes.set_title(_write_touch(touch, ious[k], k in localization.agreement.outliers), size=8.5, pad=4)
     _write_heading(panel, f"the {len(localization.touches)} observed contact shapes: imprint IoU (axes in mm)")
-    bar = panel.add_axes((0.125, 0.095, 0.8, 0.022))
-    panel.colorbar(image, cax=bar, orientation="horizontal")
-    bar.set_xlabel("depth from full penetration (mm); grey: no contact", size=9, labelpad=2)
-    bar.tick_params(labelsize=8)
+    _add_depth_bar(panel, image, 0.8)
     if text := _name_others(localization):
         panel.text(0.5, 0.012, text, size=8.5, ha="center", va="bottom", color="#37474f")
 
@@ -230,11 +212,7 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
 
 
 def _draw_candidates(
-    panel: SubFigure,
-    localization: Localization,
-    scene: Scene,
-    errors_m: Sequence[float] | NDArray[np.float64] | None,
-    columns: int,
+    panel: SubFigure, localization: Localization, scene: Scene, errors_m: Errors, columns: int
 ) -> None:
     touch = localization.touch
     width, top = 0.92 / columns, 0.475 if len(localization.hypotheses) > 1 else 0.28
@@ -257,9 +235,7 @@ def _write_heading(panel: SubFigure, text: str) -> None:
     panel.text(0.5, 0.893, text, size=11, ha="center", va="bottom")
 
 
-def _write_caption(
-    i: int, probability: float, imprint_iou: float, errors_m: Sequence[float] | NDArray[np.float64] | None
-) -> str:
+def _write_caption(i: int, probability: float, imprint_iou: float, errors_m: Errors) -> str:
     text = f"{i + 1}:  {format_percent(probability)},  IoU {100 * imprint_iou:.0f} %"
     return text if errors_m is None else f"{text},  {format_millimetres(errors_m[i])} off"
 

@@ -35,14 +35,10 @@ def draw_pose(axes: Axes, scene: DrawnScene) -> None:
     estimate, floor = 1e3 * scene.object_m, [1e3 * sensor.gel_m, 1e3 * sensor.housing_m]
     truth = None if scene.truth_m is None else 1e3 * scene.truth_m
     bounds = fit_bounds(view, [s for s in (estimate, truth, *floor) if s is not None], 0.17, 0.051)
-    shape = _choose_size(bounds)
-    tracer = Tracer([estimate, *floor], view)
-    seen = tracer.look(bounds, shape)
-    image = shade(seen, np.array([STEEL, GEL, HOUSING]), tracer.cast_shadow(seen, 0.02))
-    size_mm = float(np.ptp(estimate.reshape(-1, 3), axis=0).max())
-    paint(image, seen.find_edges(0.04 * size_mm) & (seen.surface >= 0), EDGE, 0.75)
+    canvas = Canvas(view, bounds, PIXELS, 0.04 * float(np.ptp(estimate.reshape(-1, 3), axis=0).max()))
+    seen, image = canvas.draw_solids([estimate, *floor], [STEEL, GEL, HOUSING])
     if truth is not None:
-        paint(image, thicken(Tracer([truth], view).look(bounds, shape).find_edges(0.04 * size_mm)), TRUTH, 0.95)
+        canvas.draw_edges(image, truth, TRUTH, 0.95)
     axes.imshow(shrink(image, SUPERSAMPLE), extent=bounds, interpolation="antialiased", zorder=1)
     height_mm = _measure_height_mm(sensor.geometry, estimate, truth)
     _draw_axes(axes, view, sensor.geometry, height_mm, _Picture(seen, bounds))
@@ -70,11 +66,43 @@ def fit_bounds(view: Viewpoint, surfaces: Sequence[Array], margin: float, top_ma
     return left - margin * side, right + margin * side, bottom - margin * side, top + top_margin * side
 
 
-def _choose_size(bounds: Bounds) -> tuple[int, int]:
-    """Return the image size (H, W) in pixels; the longer side has `PIXELS` times `SUPERSAMPLE` pixels."""
-    width, height = bounds[1] - bounds[0], bounds[3] - bounds[2]
-    scale = PIXELS / max(width, height)
-    return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
+@dataclass(frozen=True)
+class Canvas:
+    """A picture of solids from a view, with `bounds` (left, right, bottom, top), mm.
+
+    The longer side has `pixels` times SUPERSAMPLE pixels. A depth step of `step_mm` counts as an edge.
+    """
+
+    view: Viewpoint
+    bounds: Bounds
+    pixels: int
+    step_mm: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The size (H, W) of the picture in pixels."""
+        width, height = self.bounds[1] - self.bounds[0], self.bounds[3] - self.bounds[2]
+        scale = self.pixels / max(width, height)
+        return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
+
+    def draw_solids(
+        self, surfaces_mm: Sequence[Array], colours: Sequence[tuple[float, float, float]]
+    ) -> tuple[Buffers, NDArray[np.float32]]:
+        """Return the hits and an RGBA image (H, W, 4) of shaded surfaces (F, 3, 3), mm, with dark edges."""
+        tracer = Tracer(list(surfaces_mm), self.view)
+        seen = tracer.look(self.bounds, self.shape)
+        image = shade(seen, np.array(colours), tracer.cast_shadow(seen, 0.02))
+        paint(image, seen.find_edges(self.step_mm) & seen.hit, EDGE, 0.75)
+        return seen, image
+
+    def draw_edges(self, image: NDArray[np.float32], surface_mm: Array, colour: str, opacity: float) -> None:
+        """Draw the edges of a surface (F, 3, 3), mm, into an RGBA image (H, W, 4), in place."""
+        seen = Tracer([surface_mm], self.view).look(self.bounds, self.shape)
+        marked = seen.find_edges(self.step_mm)
+        thick = marked.copy()
+        thick[1:] |= marked[:-1]
+        thick[:, 1:] |= marked[:, :-1]
+        paint(image, thick, colour, opacity)
 
 
 def paint(image: NDArray[np.float32], where: NDArray[np.bool_], colour: str, opacity: float) -> None:
@@ -83,14 +111,6 @@ def paint(image: NDArray[np.float32], where: NDArray[np.bool_], colour: str, opa
 
     image[where, :3] = (1 - opacity) * image[where, :3] + opacity * np.array(to_rgb(colour))
     image[where, 3] = np.maximum(image[where, 3], opacity)
-
-
-def thicken(marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (H, W) whose marked pixels also mark the pixels below and to the right."""
-    grown = marked.copy()
-    grown[1:] |= marked[:-1]
-    grown[:, 1:] |= marked[:, :-1]
-    return grown
 
 
 def _measure_height_mm(geometry: SensorGeometry, *surfaces: Array | None) -> float:

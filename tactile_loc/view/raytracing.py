@@ -51,7 +51,7 @@ class Buffers:
     """The first hit of each pixel's ray.
 
     `surface` and `face` (H, W) are indices of the surface and face, or -1 without a hit. `depth` (H, W) is the length
-    of the ray. `normals` and `points` list the K hits row by row.
+    of the ray.
     """
 
     surface: NDArray[np.int32]
@@ -72,18 +72,8 @@ class Buffers:
         """Mask (H, W) of the pixels whose ray hits a surface."""
         return self.surface >= 0
 
-    @property
-    def normals(self) -> Array:
-        """Unit normals (K, 3) of the faces at `points`, towards the viewer."""
-        return self.face_normals[self.face[self.hit]]
-
-    @property
-    def points(self) -> Array:
-        """Points (K, 3) where rays hit a surface."""
-        return np.stack(self.locate(np.eye(3), 0.0), axis=-1)
-
     def locate(self, axes: Array, lift: float) -> tuple[Float32, Float32, Float32]:
-        """Return coordinates x, y and z (K,) of `points` along axes (3, 3), rows, moved by `lift` along the normals."""
+        """Return coordinates x, y and z (K,) of the hits along axes (3, 3), rows, moved by `lift` along the normals."""
         rows, columns = np.nonzero(self.hit)
         depth, face = self.depth[self.hit], self.face[self.hit]
         right, up, towards, normals = (np.asarray(of @ axes.T, np.float32) for of in (*self.origins, self.face_normals))

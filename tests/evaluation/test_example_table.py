@@ -49,8 +49,8 @@ def test_rows_are_written_as_markdown_and_csv():
     rows = [{"n": "a", "m": "x", "v": 1.5, "yes": True}, {"n": "b", "m": "y", "v": None, "yes": [1]}]
     pivoted = text_tables.pivot(rows, ("n",), "m", lambda row: str(row["v"]))
     assert pivoted == [["n", "x", "y"], ["a", "1.5", ""], ["b", "", "None"]]
-    table = text_tables.tabulate(rows, {"p|q": lambda row: row["n"]})
-    assert text_tables.format_markdown(table) == "| p\\|q |\n| --- |\n| a |\n| b |\n"
+    table = text_tables.tabulate({"p|q": row["n"]} for row in rows)
+    assert text_tables.format_document("T", ["one", table]) == "# T\n\none\n\n| p\\|q |\n| --- |\n| a |\n| b |\n"
     assert text_tables.format_csv(rows) == "n,m,v,yes\na,x,1.5,true\nb,y,,[1]\n"
     shown = text_tables.show_in_mm({"a_m": 0.00123456789, "b": 1 / 3, "c": 2, "d_m": None, "e": (1,)})
     assert shown == {"a_mm": "1.23457", "b": "0.333333", "c": 2, "d_mm": None}

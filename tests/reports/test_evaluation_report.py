@@ -10,8 +10,7 @@ import pytest
 from report_helpers import Elements, html_of, make_touch_table, page_in
 
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.evaluation.paper_tables import SHOWN, write_touch_tables
+from tactile_loc.evaluation import paper_tables
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable
 
 
@@ -25,32 +24,15 @@ def page(evaluation_folder) -> Elements:
     return Elements(html_of(evaluation_folder))
 
 
-def rows_of(document: dict, run: dict) -> dict[str, list[dict]]:
-    """The rows of a run's summary for ADD, by line."""
-    found: dict[str, list[dict]] = {}
-    for row in document["summary"]:
-        if (row["object"], row["metric"]) == (run["object"], "add"):
-            found.setdefault(row["line"], []).append(row)
-    return found
-
-
-def test_the_page_shows_the_medians_of_the_file(document, page):
-    header = next(row for row in page.rows if row[:2] == ["object", "grid poses"])
-    assert header[2:] == list(SHOWN)
-    for run in document["runs"]:
-        lengths, shares = (row for row in page.rows if row[0] == run["object"] and len(row) == len(header))
-        rows = [rows_of(document, run)[line][0] for line in SHOWN]
-        assert lengths[2:] == [format_mm(row["median_m"]) for row in rows]
-        assert shares[2:] == [f"{row['median_normalised']:.3f}" for row in rows]
-
-
-def test_the_page_shows_the_posterior_metrics_and_times_of_the_file(document, page):
-    run = document["runs"][0]
-    rows = [row for row in page.rows if row and row[0] == run["object"]]
-    held = [f"{100 * share:.0f} %" for share in run["coverage"]]
-    assert any(row[1:4] == held and row[4] == f"{run['nll_nats']:.2f}" for row in rows)
-    times = [f"{1e3 * s:.2f}" for s in run["median_seconds"].values()]
-    assert any(row[1:] == times for row in rows)
+def test_the_page_shows_the_tables_of_the_file(document, page):
+    lines, runs = document["summary"], document["runs"]
+    tables = [
+        paper_tables.tabulate_medians(lines, paper_tables.format_median),
+        paper_tables.tabulate_medians(lines, paper_tables.format_share_of_random),
+        paper_tables.tabulate_posteriors(runs),
+        paper_tables.tabulate_times(runs),
+    ]
+    assert page.rows[: sum(map(len, tables))] == [row for table in tables for row in table]
 
 
 def test_scripts_draw_every_touch_s_errors_in_mm(document, evaluation_folder):
@@ -75,22 +57,21 @@ def test_the_page_contains_the_gallery_as_a_small_image(page):
 def test_runs_of_several_encoders_have_different_names(tmp_path):
     names = [("pin", "pixel"), ("hook", "pixel"), ("pin", "moco")]
     runs = [EvaluatedRun(make_touch_table(*about, seed=0)) for about in names]
-    write_touch_tables(tmp_path, runs, {"touches": 12, "noise": "mild", "seed": 1, "images": False}, "title")
+    paper_tables.write_touch_tables(
+        tmp_path, runs, {"touches": 12, "noise": "mild", "seed": 1, "images": False}, "title"
+    )
     assert [run["name"] for run in page_in(tmp_path).data["runs"]] == ["pin, pixel", "hook, pixel", "pin, moco"]
 
 
 def test_the_page_shows_the_contacts_of_the_file(contacts_folder):
-    document = json.loads((contacts_folder / "contacts.json").read_text())
+    rows = json.loads((contacts_folder / "contacts.json").read_text())["summary"]
     page = Elements(html_of(contacts_folder))
-    lines = rows_of(document, document["runs"][0])
-    assert page.rows[0] == ["object", "line", "1 contact", "2 contacts", "5 contacts"]
-    for row, (line, entries) in zip(page.rows[1:], lines.items(), strict=False):
-        assert row[1] == line
-        assert row[2:] == [f"{format_mm(e['median_m'])} ({e['median_normalised']:.3f})" for e in entries]
+    table = paper_tables.tabulate_contacts(rows)
+    assert page.rows[: len(table)] == table
     drawn = page_in(contacts_folder).data["runs"][0]["lines"]["best-1"]
     assert drawn["contacts"] == [1, 2, 5]
-    assert drawn["metres"]["q75"] == pytest.approx([1e3 * e["q75_m"] for e in lines["best-1"]])
-    assert ["pin", "0", "0", "4"] in page.rows  # without a common pose
+    assert drawn["metres"]["q75"] == pytest.approx([1e3 * row["q75_m"] for row in rows if row["line"] == "best-1"])
+    assert ["pin", "pixel", "0", "0", "4"] in page.rows  # without a common pose
 
 
 @pytest.mark.parametrize("fixture", ["evaluation_folder", "contacts_folder"])

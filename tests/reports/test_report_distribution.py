@@ -9,7 +9,6 @@ import trimesh
 from tactile_loc.core.geometry.rigid import align_to_z, draw_rotations, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.reports.distribution import (
-    SideMap,
     compute_vertex_areas,
     compute_vertex_normals,
     compute_yaw_rad,
@@ -120,41 +119,37 @@ def test_a_lattice_has_a_bar_for_each_yaw_and_irregular_yaws_are_counted_in_bins
     yaw_deg = np.repeat(np.arange(0, 360, 15.0), 3)
     weights = np.random.default_rng(0).dirichlet(np.ones(len(yaw_deg)))
     found = count_yaws(rotation_about(Z, np.radians(yaw_deg)) @ align_to_z([0, 1, 0]), weights)
-    assert found.yaw_deg == pytest.approx(np.arange(0, 360, 15.0), abs=0.01)
-    assert found.mass == pytest.approx(weights.reshape(-1, 3).sum(axis=1))
-    assert found.width_deg == pytest.approx(15.0)
+    assert found["deg"] == pytest.approx(np.arange(0, 360, 15.0), abs=0.01)
+    assert found["percent"] == pytest.approx(100 * weights.reshape(-1, 3).sum(axis=1))
+    assert found["width"] == pytest.approx(15.0)
     irregular = count_yaws(draw_rotations(500, np.random.default_rng(0)), np.full(500, 1 / 500))
-    assert len(irregular.mass) == 36
-    assert irregular.mass.sum() == pytest.approx(1.0)
+    assert len(irregular["percent"]) == 36
+    assert sum(irregular["percent"]) == pytest.approx(100)
 
 
 def test_poses_on_one_face_have_one_side():
     R = rotation_about(Z, np.linspace(0, 6, 20)) @ align_to_z([0, -1, 0])
     found = map_sides(R, np.full(20, 0.05))
-    assert found.kind == "one"
-    assert found.normal == pytest.approx([0, 1, 0])
+    assert found["kind"] == "one"
+    assert found["normal"] == pytest.approx([0, 1, 0])
 
 
 def test_small_tilts_are_mapped_in_the_sensor_frame():
     tilt = np.radians([-10.0, 0.0, 10.0])
     R = rotation_about([1, 0, 0], tilt) @ rotation_about(Z, np.array(0.7)) @ align_to_z([1, 0, 0])
     found = map_sides(R, np.array([0.2, 0.3, 0.5]))
-    assert found.kind == "lean"
-    assert found.mass.sum() == pytest.approx(1.0)
-    y = 0.5 * (found.y[1:] + found.y[:-1])
-    rows = found.mass.sum(axis=1)
+    assert found["kind"] == "lean"
+    share, edges = np.array(found["percent"]) / 100, np.array(found["y"])
+    assert share.sum() == pytest.approx(1.0)
+    y = 0.5 * (edges[1:] + edges[:-1])
+    rows = share.sum(axis=1)
     # rotated about +x by 10 degrees, the side that faced -z leans towards +y
     assert sorted(zip(y[rows > 0].round(1), rows[rows > 0].round(6), strict=True)) == [
         (pytest.approx(-10, abs=1), 0.2),
         (pytest.approx(0, abs=1), 0.3),
         (pytest.approx(10, abs=1), 0.5),
     ]
-    assert found.mass[:, len(rows) // 2].sum() == pytest.approx(1.0)
-
-
-def peak(found: SideMap) -> tuple[float, float]:
-    row, column = np.unravel_index(found.mass.argmax(), found.mass.shape)
-    return (found.x[column] + found.x[column + 1]) / 2, (found.y[row] + found.y[row + 1]) / 2
+    assert share[:, len(rows) // 2].sum() == pytest.approx(1.0)
 
 
 def test_poses_on_all_sides_are_mapped_on_a_globe_of_equal_areas():
@@ -163,11 +158,12 @@ def test_poses_on_all_sides_are_mapped_on_a_globe_of_equal_areas():
     side = np.array([np.cos(np.radians(40)), np.sin(np.radians(40)), 0.0])
     R = np.concatenate([R, align_to_z(-side)[None]])
     found = map_sides(R, np.append(weights, 0.5))
-    assert found.kind == "globe"
-    assert found.mass.sum() == pytest.approx(1.0)
-    azimuth, elevation = peak(found)
-    assert azimuth == pytest.approx(40, abs=10)
-    assert elevation == pytest.approx(0, abs=7)
-    rest = np.sort(found.mass.ravel())[:-1]
+    assert found["kind"] == "globe"
+    share = np.array(found["percent"]) / 100
+    assert share.sum() == pytest.approx(1.0)
+    row, column = np.unravel_index(share.argmax(), share.shape)
+    assert np.mean(found["x"][column : column + 2]) == pytest.approx(40, abs=10)
+    assert np.mean(found["y"][row : row + 2]) == pytest.approx(0, abs=7)
+    rest = np.sort(share.ravel())[:-1]
     assert rest.max() < 2.5 * rest.mean()
-    assert found.normal == pytest.approx(side)
+    assert found["normal"] == pytest.approx(side)

@@ -38,8 +38,8 @@ def test_rays_meet_the_nearest_surface():
     share = [(seen.surface == k).mean() * 70 for k in (0, 1)]
     assert share == pytest.approx([4 * 3, 8 * 5 - 4 * 3], abs=0.5)
     front = seen.surface[seen.hit] == 0
-    assert seen.points[front][:, 1] == pytest.approx(-1, abs=1e-4)
-    assert seen.normals[front] == pytest.approx(np.tile([0, -1.0, 0], (front.sum(), 1)), abs=1e-5)
+    _, y, _ = seen.locate(np.eye(3), lift=0.5)
+    assert y[front] == pytest.approx(-1.5, abs=1e-4)  # the block's front, moved along its normals
     assert (seen.surface[0] == -1).all()  # above everything
 
 
@@ -55,8 +55,9 @@ def test_a_shadow_lies_opposite_the_light():
     floor = make_box((-20, 20), (-20, 20), (-1, 0))
     tracer = Tracer([make_box((-1, 1), (-1, 1), (4, 6)), floor], Viewpoint(0.0, 89.0))
     seen = tracer.look((-20, 20, -20, 20), (200, 200))
-    dark = seen.points[(tracer.cast_shadow(seen, 0.01) & (seen.surface == 1))[seen.hit]]
-    assert dark.mean(axis=0)[:2] == pytest.approx(-5 * LIGHT[:2] / LIGHT[2], abs=0.6)
+    dark = (tracer.cast_shadow(seen, 0.01) & (seen.surface == 1))[seen.hit]
+    x, y, _ = seen.locate(np.eye(3), lift=0.0)
+    assert [x[dark].mean(), y[dark].mean()] == pytest.approx(-5 * LIGHT[:2] / LIGHT[2], abs=0.6)
 
 
 def test_shading_is_transparent_beside_the_object_and_shrinking_weights_by_opacity():

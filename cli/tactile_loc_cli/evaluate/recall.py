@@ -63,7 +63,7 @@ def _list_sources(given: RunOptions, asked: Asked) -> Iterator[SimulatedTouches]
 def _evaluate_own(given: RunOptions, asked: Asked) -> tuple[list[EvaluatedRun], dict[str, Any]]:
     """Return the results of the user's own touches, and where they come from."""
     from tactile_loc.evaluation.fusion import MOST_FUSED
-    from tactile_loc.evaluation.recall.labelled import LabelledExamples
+    from tactile_loc.evaluation.recall.examples import LabelledExamples
 
     jobs = list_jobs(given, asked.objects, asked.encoders, None)
     _require_one_object(jobs, asked)

@@ -14,7 +14,7 @@ from tactile_loc_benchmark.job import Row
 from tactile_loc_benchmark.leaderboard import read_document, record_leaderboard
 from tactile_loc_benchmark.results import Results, UsedMethod, UsedSource
 from tactile_loc_benchmark.suite import Suite, SuiteEntry
-from tactile_loc_benchmark.summary import WITHIN_M, MethodResult
+from tactile_loc_benchmark.summary import WITHIN_M
 
 HEAD = (
     *("source", "touches", "method"),
@@ -163,32 +163,32 @@ def format_length(length_m: float | None) -> str:
     return f"{value_mm:.3f}" if value_mm < 1 else f"{value_mm:.2f}" if value_mm < 10 else f"{value_mm:.1f}"
 
 
-def format_within(group: MethodResult, number: int) -> str:
+def format_within(group: Row, number: int) -> str:
     """Return the share within WITHIN_M[number] with its interval, in %."""
-    low, high = group.within_range[number]
-    return f"{format_share(group.within[number])} ({100 * low:.0f} to {100 * high:.0f})"
+    low, high = group["within_range"][number]
+    return f"{format_share(group['within'][number])} ({100 * low:.0f} to {100 * high:.0f})"
 
 
-def tabulate(groups: Sequence[MethodResult]) -> list[list[str]]:
+def tabulate(groups: Sequence[Row]) -> list[list[str]]:
     """Return a table with a row for each group, sorted by source and number of touches, the header first."""
-    order = {source: number for number, source in enumerate(dict.fromkeys(group.source for group in groups))}
-    ordered = sorted(groups, key=lambda group: (order[group.source], group.touches))
+    order = {source: number for number, source in enumerate(dict.fromkeys(group["source"] for group in groups))}
+    ordered = sorted(groups, key=lambda group: (order[group["source"]], group["touches"]))
     return [list(HEAD), *(list(list_cells(group)) for group in ordered)]
 
 
-def list_cells(group: MethodResult) -> Iterator[str]:
+def list_cells(group: Row) -> Iterator[str]:
     """Yield the cells of a group under HEAD."""
-    yield from (group.source, str(group.touches), group.method)
+    yield from (group["source"], str(group["touches"]), group["method"])
     near = WITHIN_M.index(1e-3)
-    for number, share in enumerate(group.within):
+    for number, share in enumerate(group["within"]):
         yield format_within(group, number) if number == near else format_share(share)
-    yield format_share(group.listed_within[near])
-    yield format_length(group.median_m)
-    yield f"{format_share(group.determined_within_1_mm)} of {group.determined}"
-    yield format_length(group.median_determined_m)
-    yield f"{group.auc:.2f}"
-    yield f"{group.average_recall_mssd:.2f}"
-    yield "-" if group.calibration_error is None else f"{group.calibration_error:.2f}"
-    yield format_share(group.covered)
-    yield f"{group.certain_right} of {group.certain}" if group.certain else "-"
-    yield "-" if group.median_s is None else f"{1e3 * group.median_s:.0f} ms"
+    yield format_share(group["listed_within"][near])
+    yield format_length(group["median_m"])
+    yield f"{format_share(group['determined_within_1_mm'])} of {group['determined']}"
+    yield format_length(group["median_determined_m"])
+    yield f"{group['auc']:.2f}"
+    yield f"{group['average_recall_mssd']:.2f}"
+    yield "-" if group["calibration_error"] is None else f"{group['calibration_error']:.2f}"
+    yield format_share(group["covered"])
+    yield f"{group['certain_right']} of {group['certain']}" if group["certain"] else "-"
+    yield "-" if group["median_s"] is None else f"{1e3 * group['median_s']:.0f} ms"

@@ -3,38 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from tactile_loc.plugin import ConfigError
 
+from tactile_loc_benchmark.job import Row
 from tactile_loc_benchmark.results import Results, describe_used
-from tactile_loc_benchmark.summary import MethodResult
 
 SCHEMA_VERSION = 1
 
 
-@dataclass(frozen=True)
-class Standing:
-    """A group of a leaderboard file, with the date of the run.
-
-    `protocol` is a hash of everything that determines the touches. Only groups with the same suite and protocol can be
-    compared. `component` is the method's name, and `libraries` are the versions of the method's libraries.
-    """
-
-    suite: str
-    summary: str
-    protocol: str
-    licence: str
-    source_libraries: Mapping[str, str]
-    component: str
-    options: Mapping[str, Any]
-    paper: str
-    libraries: Mapping[str, str]
-    date: str
-    group: MethodResult
+ABOUT_SOURCE, ABOUT_METHOD = ("protocol", "licence"), ("options", "paper", "libraries")
 
 
 def record_leaderboard(results: Results) -> dict[str, Any]:
@@ -46,7 +27,7 @@ def record_leaderboard(results: Results) -> dict[str, Any]:
         "suite": {"name": results.suite.name, "summary": results.suite.summary, **results.suite.describe_protocol()},
         "sources": describe_used(results.sources),
         "methods": describe_used(results.methods),
-        "groups": [group.describe() for group in results.groups],
+        "groups": results.groups,
     }
 
 
@@ -58,27 +39,29 @@ def read_document(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path} cannot be read ({error}); run the benchmark again") from error
 
 
-def read_standings(path: Path) -> Iterator[Standing]:
-    """Yield the groups of a leaderboard file. Raises ConfigError for a damaged file or one of another version."""
+def read_standings(path: Path) -> Iterator[Row]:
+    """Yield the groups of a leaderboard file, with what it states about the suite, the source and the method.
+
+    Groups are the rows of `summary.summarise`. Further values are the `suite`, its `summary`, the `date` of the run,
+    the `protocol`, a hash of everything that determines the touches, the `licence` and `source_libraries` of the
+    source, and the `component`, `options`, `paper` and `libraries` of the method. Only groups with the same suite and
+    protocol can be compared. Raises ConfigError for a damaged file or one of another version.
+    """
     document = read_document(path)
     if document.get("schema_version") != SCHEMA_VERSION:
         raise ConfigError(f"{path} has another version than {SCHEMA_VERSION}; run the benchmark again")
     try:
-        for values in document["groups"]:
-            group = MethodResult.read(values)
-            source, method = document["sources"][group.source], document["methods"][group.method]
-            yield Standing(
-                suite=document["suite"]["name"],
-                summary=document["suite"]["summary"],
-                protocol=source["protocol"],
-                licence=source["licence"],
-                source_libraries=source["libraries"],
-                component=method["name"],
-                options=method["options"],
-                paper=method["paper"],
-                libraries=method["libraries"],
-                date=document["created"][:10],
-                group=group,
-            )
+        for group in document["groups"]:
+            source, method = document["sources"][group["source"]], document["methods"][group["method"]]
+            yield {
+                **group,
+                "suite": document["suite"]["name"],
+                "summary": document["suite"]["summary"],
+                "date": document["created"][:10],
+                "source_libraries": source["libraries"],
+                "component": method["name"],
+                **{name: source[name] for name in ABOUT_SOURCE},
+                **{name: method[name] for name in ABOUT_METHOD},
+            }
     except (LookupError, TypeError) as error:
         raise ConfigError(f"{path} is damaged or incomplete ({error!r}); run the benchmark again") from error

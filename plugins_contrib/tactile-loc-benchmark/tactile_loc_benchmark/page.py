@@ -23,10 +23,11 @@ from tactile_loc_benchmark.files import (
     tabulate_methods,
     tabulate_sources,
 )
+from tactile_loc_benchmark.job import Row
 from tactile_loc_benchmark.prepare import PreparedSource
 from tactile_loc_benchmark.results import Results
 from tactile_loc_benchmark.runner import Benchmark
-from tactile_loc_benchmark.summary import WITHIN_M, MethodResult, group_examples
+from tactile_loc_benchmark.summary import WITHIN_M, group_examples
 
 BEYOND_MM, DIGITS = 1e6, 4  # the error of an example without a pose; digits of errors
 
@@ -48,7 +49,7 @@ def make_benchmark_page(results: Results, pictures: Sequence[Mapping[str, Any]])
     ]
     data = {
         "groups": [_collect_group(group, of) for group, of in zip(groups, tables, strict=True)],
-        "methods": list(dict.fromkeys(group.method for group in groups)),
+        "methods": list(dict.fromkeys(group["method"] for group in groups)),
         "within_mm": [1e3 * m for m in WITHIN_M],
     }
     title = f"Benchmark: {results.suite.name}"
@@ -67,26 +68,23 @@ def _list_numbers(results: Results) -> Iterator[tuple[str, str, str]]:
     yield "jobs", str(results.jobs), f"{len(results.failed)} failed"
 
 
-def _list_choices(groups: Sequence[MethodResult]) -> dict[str, Any]:
-    touches = sorted({group.touches for group in groups})
+def _list_choices(groups: Sequence[Row]) -> dict[str, Any]:
+    touches = sorted({group["touches"] for group in groups})
     return {
-        "sources": list(dict.fromkeys(group.source for group in groups)),
+        "sources": list(dict.fromkeys(group["source"] for group in groups)),
         "touches": {n: f"{n} {'touch' if n == 1 else 'touches'}" for n in touches},
         "most": touches[-1],
         "within": {k: f"{1e3 * m:g} mm" for k, m in enumerate(WITHIN_M)},
     }
 
 
-def _collect_group(group: MethodResult, table: ExampleTable) -> dict[str, Any]:
+def _collect_group(group: Row, table: ExampleTable) -> dict[str, Any]:
     """Return the values of a group for the page's scripts, in mm, % and seconds."""
     return {
-        "source": group.source,
-        "method": group.method,
-        "touches": group.touches,
-        "examples": group.examples,
-        "within": [100 * share for share in group.within],
-        "ranges": [[100 * low, 100 * high] for low, high in group.within_range],
-        "seconds": group.median_s,
+        **{name: group[name] for name in ("source", "method", "touches", "examples")},
+        "within": [100 * share for share in group["within"]],
+        "ranges": [[100 * low, 100 * high] for low, high in group["within_range"]],
+        "seconds": group["median_s"],
         "errors_mm": {line: _sort_errors_mm(table.errors_m(line)) for line in ("first", "listed")},
         "bins": [
             {"stated": 100 * one.stated, "right": 100 * one.right, "examples": one.examples}

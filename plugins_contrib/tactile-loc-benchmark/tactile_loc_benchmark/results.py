@@ -9,7 +9,7 @@ from typing import Any
 
 from tactile_loc_benchmark.job import Row
 from tactile_loc_benchmark.suite import Suite
-from tactile_loc_benchmark.summary import MethodResult, summarise
+from tactile_loc_benchmark.summary import summarise
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Results:
     created: str
 
     @cached_property
-    def groups(self) -> list[MethodResult]:
+    def groups(self) -> list[Row]:
         """The results of each source, method and number of touches."""
         return summarise(self.rows)
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,8 @@ Float64 = NDArray[np.float64]
 Interval = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class MethodResult:
-    """The results of one method with touches of one source: E examples of several objects.
+def summarise(rows: Sequence[Row]) -> list[Row]:
+    """Return a row of JSON values for each source, method and number of touches, in the order of the rows.
 
     Shares are 0 to 1, lengths in metres. `within` and `listed_within` are the shares of examples whose first pose, or
     any listed pose, has a surface distance below WITHIN_M. `within_range` has their 95 % intervals: examples of each
@@ -33,43 +31,11 @@ class MethodResult:
     of examples in which the poses with 95 % of the probability include a right one. Values that a method does not state
     are None. `refused` is the number of presses that the sensor refused, and `unlocated` that of examples without pose.
     """
-
-    source: str
-    method: str
-    touches: int
-    examples: int
-    within: tuple[float, ...]
-    within_range: tuple[Interval, ...]
-    listed_within: tuple[float, ...]
-    auc: float
-    average_recall_mssd: float
-    median_m: float | None
-    determined: int
-    determined_within_1_mm: float | None
-    median_determined_m: float | None
-    calibration_error: float | None
-    covered: float | None
-    certain: int
-    certain_right: int
-    refused: int
-    unlocated: int
-    median_s: float | None
-
-    def describe(self) -> dict[str, Any]:
-        """Return all values as JSON values."""
-        return asdict(self)
-
-    @classmethod
-    def read(cls, values: Mapping[str, Any]) -> MethodResult:
-        """Return the group of `describe`. Raises TypeError if values are missing or unknown."""
-        known = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-        return cls(**known | {"within_range": tuple(map(tuple, values.get("within_range", ())))})
-
-
-def summarise(rows: Sequence[Row]) -> list[MethodResult]:
-    """Return the group of each source, method and number of touches, in the order of the rows."""
     groups = group_examples(rows).items()
-    return [_summarise(source, method, touches, table) for (source, method, touches), table in groups]
+    return [
+        {"source": source, "method": method, "touches": touches, **_summarise(table)}
+        for (source, method, touches), table in groups
+    ]
 
 
 def group_examples(rows: Sequence[Row]) -> dict[tuple[Any, ...], ExampleTable]:
@@ -104,33 +70,30 @@ def _name_example(row: Row) -> tuple[str, str, int, int]:
     return row["source"], row["object"], row["example"], row["touches"]
 
 
-def _summarise(source: str, method: str, touches: int, table: ExampleTable) -> MethodResult:
+def _summarise(table: ExampleTable) -> Row:
     summary, errors_m = ExampleSummary.of(table, WITHIN_M), table.errors_m()
     inside = (errors_m[:, None] < np.array(WITHIN_M)).astype(float)
     certain, covered = table["verdict"] == Verdict.CERTAIN.value, table["covered"].astype(float)
     determined_m = float(np.median(errors_m[table["determined"]])) if summary.determined else np.inf
-    return MethodResult(
-        source=source,
-        method=method,
-        touches=touches,
-        examples=summary.examples,
-        within=summary.within,
-        within_range=bootstrap(inside, table["object"], lambda some: some.mean(axis=0)),
-        listed_within=summary.listed_within,
-        auc=summary.auc,
-        average_recall_mssd=summary.average_recall_mssd,
-        median_m=summary.median_m,
-        determined=summary.determined,
-        determined_within_1_mm=summary.determined_right,
-        median_determined_m=determined_m if np.isfinite(determined_m) else None,
-        calibration_error=measure_calibration_error(summary),
-        covered=float(np.nanmean(covered)) if np.isfinite(covered).any() else None,
-        certain=int(certain.sum()),
-        certain_right=int((certain & (errors_m < RIGHT_M)).sum()),
-        refused=table.count_refused(),
-        unlocated=int((table["problem"] != "").sum()),
-        median_s=summary.median_s,
-    )
+    return {
+        "examples": summary.examples,
+        "within": summary.within,
+        "within_range": bootstrap(inside, table["object"], lambda some: some.mean(axis=0)),
+        "listed_within": summary.listed_within,
+        "auc": summary.auc,
+        "average_recall_mssd": summary.average_recall_mssd,
+        "median_m": summary.median_m,
+        "determined": summary.determined,
+        "determined_within_1_mm": summary.determined_right,
+        "median_determined_m": determined_m if np.isfinite(determined_m) else None,
+        "calibration_error": measure_calibration_error(summary),
+        "covered": float(np.nanmean(covered)) if np.isfinite(covered).any() else None,
+        "certain": int(certain.sum()),
+        "certain_right": int((certain & (errors_m < RIGHT_M)).sum()),
+        "refused": table.count_refused(),
+        "unlocated": int((table["problem"] != "").sum()),
+        "median_s": summary.median_s,
+    }
 
 
 def bootstrap(values: Float64, objects: NDArray[Any], statistic: Callable[[Float64], Float64]) -> tuple[Interval, ...]:

@@ -10,9 +10,10 @@ from browser_helpers import LOCAL, choose, list_errors, list_requests, open_brow
 from report_helpers import UNFRIENDLY
 from tactile_loc.reports.report import write_page
 
+from tactile_loc_benchmark.job import Row
 from tactile_loc_benchmark.page import make_benchmark_page
 from tactile_loc_benchmark.results import Results
-from tactile_loc_benchmark.summary import WITHIN_M, MethodResult
+from tactile_loc_benchmark.summary import WITHIN_M
 
 PLOTS = {"success-plot", "curves-plot", "reliability-plot", "times-plot"}
 
@@ -40,8 +41,8 @@ def read_traces(browser: Any, plot: str) -> list[dict[str, Any]]:
     return list(browser.execute_script(script, plot))
 
 
-def select(results: Results, source: str, method: str) -> list[MethodResult]:
-    return [group for group in results.groups if (group.source, group.method) == (source, method)]
+def select(results: Results, source: str, method: str) -> list[Row]:
+    return [group for group in results.groups if (group["source"], group["method"]) == (source, method)]
 
 
 @pytest.mark.slow
@@ -51,7 +52,7 @@ def test_the_plots_show_the_chosen_source_touches_and_distance(page, results):
         choose(page, "within", str(within))
         oracle, guess = read_traces(page, "success-plot")
         for trace, method in ((oracle, "oracle"), (guess, UNFRIENDLY)):
-            shares = [100 * group.within[within] for group in select(results, "sketch", method)]
+            shares = [100 * group["within"][within] for group in select(results, "sketch", method)]
             assert trace["y"] == pytest.approx(shares)
         assert f"{1e3 * WITHIN_M[within]:g} mm" in page.execute_script(
             "return document.getElementById('success-plot').layout.yaxis.title.text"
@@ -68,7 +69,7 @@ def test_the_plots_show_the_chosen_source_touches_and_distance(page, results):
         (trace,) = read_traces(page, plot)
         assert len(trace["y"]) > 0
     (guess,) = read_traces(page, "success-plot")
-    assert guess["y"] == pytest.approx([100 * select(results, "archive", UNFRIENDLY)[0].within[3]])
+    assert guess["y"] == pytest.approx([100 * select(results, "archive", UNFRIENDLY)[0]["within"][3]])
     assert len(read_traces(page, "reliability-plot")) == 1, "only the line of calibrated probabilities"
 
 
@@ -81,7 +82,7 @@ def test_the_recall_curve_counts_any_listed_pose_on_demand(page, results):
         return float(near[-1])
 
     choose(page, "touches", "1")
-    (group,) = [one for one in select(results, "sketch", "oracle") if one.touches == 1]
+    (group,) = [one for one in select(results, "sketch", "oracle") if one["touches"] == 1]
     at_1_mm = WITHIN_M.index(1e-3)
-    assert last_value("first") == pytest.approx(100 * group.within[at_1_mm])
-    assert last_value("listed") == pytest.approx(100 * group.listed_within[at_1_mm])
+    assert last_value("first") == pytest.approx(100 * group["within"][at_1_mm])
+    assert last_value("listed") == pytest.approx(100 * group["listed_within"][at_1_mm])

@@ -56,10 +56,11 @@ def test_a_leaderboard_file_is_read_back_and_names_no_path(written, finished, bo
     text = (written / "leaderboard.json").read_text()
     assert str(box_file.parent) not in text
     standings = list(read_standings(written / "leaderboard.json"))
-    assert [standing.group for standing in standings] == finished.results.groups
-    assert standings[0].suite == "small"
-    assert standings[0].libraries["bench-fakes"] == "1.5"
-    assert standings[-1].component == "guess"
+    for standing, group in zip(standings, json.loads(json.dumps(finished.results.groups)), strict=True):
+        assert group.items() <= standing.items()
+    assert standings[0]["suite"] == "small"
+    assert standings[0]["libraries"]["bench-fakes"] == "1.5"
+    assert standings[-1]["component"] == "guess"
 
 
 def test_only_the_protocol_the_source_and_the_objects_change_the_hash(finished, make_suite):

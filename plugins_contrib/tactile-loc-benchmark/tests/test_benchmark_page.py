@@ -37,11 +37,11 @@ def test_scripts_draw_every_group_in_mm_and_percent(page, finished):
     drawn = page.data["groups"]
     assert len(drawn) == len(groups)
     for one, group in zip(drawn, groups, strict=True):
-        assert (one["source"], one["method"], one["touches"]) == (group.source, group.method, group.touches)
-        assert one["within"] == pytest.approx(100 * np.array(group.within))
-        assert len(one["errors_mm"]["first"]) == group.examples
+        assert (one["source"], one["method"], one["touches"]) == (group["source"], group["method"], group["touches"])
+        assert one["within"] == pytest.approx(100 * np.array(group["within"]))
+        assert len(one["errors_mm"]["first"]) == group["examples"]
         share = np.mean(np.array(one["errors_mm"]["first"]) < 1)
-        assert share == pytest.approx(group.within[1])
+        assert share == pytest.approx(group["within"][1])
     json.dumps(page.data, allow_nan=False)
 
 

@@ -24,7 +24,8 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from tactile_loc_benchmark.interfaces import LocatingProblem
-from tactile_loc_benchmark.leaderboard import Standing, read_standings
+from tactile_loc_benchmark.job import Row
+from tactile_loc_benchmark.leaderboard import read_standings
 from tactile_loc_benchmark.suite import Suite
 
 ROOT = Path(__file__).parents[3]
@@ -54,9 +55,9 @@ def test_committed_results_contain_no_paths(path):
 
 
 @pytest.fixture
-def standings() -> list[Standing]:
+def standings() -> list[Row]:
     """Standings of the default tactile-loc, with the same shares for all numbers of touches."""
-    return [one for one in read_standings(FILES[0]) if one.component == leaderboard.OURS and not one.options]
+    return [one for one in read_standings(FILES[0]) if one["component"] == leaderboard.OURS and not one["options"]]
 
 
 def write_rival(folder: Path, share: float, **changes: object) -> Path:
@@ -79,11 +80,11 @@ def test_a_better_rival_is_bold_and_listed_as_a_loss_and_a_worse_one_is_not(stan
     rival = list(read_standings(write_rival(tmp_path, 1.0)))
     text = leaderboard.format_page([*standings, *rival])
     losses = text.split("## Suite")[0]
-    worse = [one for one in standings if one.group.within[leaderboard.NEAR] < 1]
+    worse = [one for one in standings if one["within"][leaderboard.NEAR] < 1]
     assert losses.count("| rival |") == len(worse) > 0
     assert "**100 % (100 to 100)**" in text
     assert "Rival et al." in text
-    assert len(re.findall(r"^### ", text, re.MULTILINE)) == len({one.group.source for one in standings})
+    assert len(re.findall(r"^### ", text, re.MULTILINE)) == len({one["source"] for one in standings})
     worse = list(read_standings(write_rival(tmp_path, 0.0)))
     assert "| rival |" not in leaderboard.format_page([*standings, *worse]).split("## Suite")[0]
 
@@ -92,7 +93,7 @@ def test_results_of_another_protocol_have_a_table_of_their_own(standings, tmp_pa
     rival = list(read_standings(write_rival(tmp_path, 1.0, protocol="another")))
     text = leaderboard.format_page([*standings, *rival])
     assert not missing(text, "Protocol: `another`")
-    assert len(re.findall(r"^### ", text, re.MULTILINE)) == 2 * len({one.group.source for one in standings})
+    assert len(re.findall(r"^### ", text, re.MULTILINE)) == 2 * len({one["source"] for one in standings})
     assert "| rival |" not in text.split("## Suite")[0], "they cannot be compared"
 
 
@@ -102,8 +103,8 @@ def test_the_newest_result_counts(tmp_path):
         path = write_rival(tmp_path / folder, 1.0 if folder == "new" else 0.0, created=f"{date}T00:00:00+00:00")
         path.rename(tmp_path / f"{folder}.json")
     found = leaderboard.read_all(tmp_path)
-    assert {one.date for one in found} == {"2030-01-01"}
-    assert {one.group.within[0] for one in found} == {1.0}
+    assert {one["date"] for one in found} == {"2030-01-01"}
+    assert {one["within"][0] for one in found} == {1.0}
 
 
 @pytest.fixture

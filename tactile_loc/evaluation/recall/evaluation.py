@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
-from tactile_loc.evaluation.fusion import MOST_FUSED
+from tactile_loc.core.runtime.errors import GridError, TouchError
+from tactile_loc.evaluation.fusion import sort_numbers
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
-from tactile_loc.evaluation.protocol import save_in_shards
+from tactile_loc.evaluation.protocol import measure_in_shards
 from tactile_loc.evaluation.recall.examples import ExampleSource, TouchedExample
 from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.evaluation.summary import RIGHT_M
@@ -28,7 +28,6 @@ from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import REFUSED
 from tactile_loc.locate.sources.source import STAGE_VERSIONS
 from tactile_loc.store.keys import StageKey
-from tactile_loc.store.workspace import Workspace
 
 RECALL_VERSION = 2  # increase if verdicts or the method change without a change of key
 SHARD = 5  # examples located and saved at once
@@ -68,17 +67,9 @@ def evaluate_recall(localizer: Localizer, examples: ExampleSource, together: Seq
     example that cannot be located is kept, with its reason. Raises ConfigError unless all numbers are from 1 to
     MOST_FUSED.
     """
-    numbers = tuple(sorted(set(together)))
-    if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
-        raise ConfigError(f"the numbers of touches cannot be {list(together)}; give numbers from 1 to {MOST_FUSED}")
-
-    def run(work: Workspace) -> None:
-        locator = _ExampleLocator(localizer, examples, numbers)
-        locator.warm_up()
-        save_in_shards(work, ARRAYS, examples.count, SHARD, locator.locate_examples)
-
-    artifact = localizer.store.build(make_recall_key(localizer, examples, numbers), run)
-    arrays = {name: artifact.load_array(name, mmap=False) for name in ARRAYS}
+    numbers = sort_numbers(together, "touches")
+    key, locator = make_recall_key(localizer, examples, numbers), _ExampleLocator(localizer, examples, numbers)
+    arrays = measure_in_shards(localizer.store, key, ARRAYS, examples.count, SHARD, locator.locate_examples)
     return _make_table(localizer, examples, numbers, arrays)
 
 
@@ -133,6 +124,7 @@ class _ExampleLocator:
 
     def locate_examples(self, numbers: range) -> list[NDArray[Any]]:
         """Return the ARRAYS of some examples."""
+        _ = self.warm
         drawn = [self.examples.draw(number) for number in numbers]
         rows = []
         task = f"locating {self.localizer.object.name}, examples {numbers[0] + 1} to {numbers[-1] + 1}"
@@ -147,12 +139,17 @@ class _ExampleLocator:
         truths = np.array([_find_truth(example) for example in drawn])
         return [*columns, truths, np.array([example.refused for example in drawn])]
 
-    def warm_up(self) -> None:
-        """Locate the first example, so that no measured time includes the building of what is stored and loaded."""
+    @cached_property
+    def warm(self) -> bool:
+        """True, after the first example was located once.
+
+        So no measured time includes the building of what is stored and loaded.
+        """
         first = self.examples.draw(0).observations
         for n in self.together:
             with suppress(GridError, TouchError):
                 localize_together(first[:n])
+        return True
 
     def _locate(self, example: TouchedExample, n: int) -> Located:
         """Locate an example from its first n touches."""

@@ -1,25 +1,32 @@
-"""Examples to locate: simulated touches of one object at rest, from any direction, with known poses."""
+"""Examples to locate, touches of one object at rest with known poses: simulated from any direction, or a user's own."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from itertools import chain
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, read_image
+from tactile_loc.io.touch_lists import Example, read_labelled_touches
 from tactile_loc.locate.localizer import Localizer, Observation
+from tactile_loc.locate.touch_files import match_localizers, read_listed_touch
 from tactile_loc.slots.registry import registry
+from tactile_loc.store.keys import hash_arrays
 
 MOST_DRAWS = 100  # most presses for one touch, in case their images show no contact
 RENDERER = "raycast"
+OWN = "own touches"  # the noise or kind of labelled touches
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,24 +40,6 @@ class TouchedExample:
     observations: tuple[Observation, ...]
     refused: int = 0
     problem: str = ""
-
-
-class ExampleSource(Protocol):
-    """A series of examples. Example number i is always the same."""
-
-    @property
-    def count(self) -> int:
-        """The number of examples."""
-
-    @property
-    def labels(self) -> Mapping[str, Any]:
-        """The `noise` or kind of the touches, and their `seed`, -1 without a seed."""
-
-    def draw(self, number: int) -> TouchedExample:
-        """Return an example by its number, from 0."""
-
-    def describe(self) -> dict[str, Any]:
-        """Return what determines the examples, as JSON values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +62,7 @@ class DrawnExamples:
         return {"noise": self.source.noise, "seed": self.source.seed}
 
     def draw(self, number: int) -> TouchedExample:
-        """Return an example by its number. Raises TouchError if hardly any press makes a touch."""
+        """Return an example by its number, from 0. Raises TouchError if hardly any press makes a touch."""
         rng = np.random.default_rng([self.source.seed, number])
         touches, refused = [], 0
         for k in range(self.most):
@@ -111,3 +100,100 @@ class DrawnExamples:
             sensor_std_m=noise.sensor_m,
             sensor_std_rad=noise.sensor_rad,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledExamples:
+    """Examples of a user's own touches with known poses, each of one object at rest.
+
+    If no touch of an example has a sensor pose, the known poses give the sensors' poses relative to the object.
+    """
+
+    localizer: Localizer
+    examples: tuple[Example, ...]
+
+    @classmethod
+    def read(cls, localizer: Localizer, paths: Iterable[Path]) -> LabelledExamples:
+        """Read the examples of all paths, as `read_labelled_touches` does. Raises TouchError for bad input."""
+        return cls(localizer, tuple(example for path in paths for example in read_labelled_touches(path)))
+
+    @property
+    def count(self) -> int:
+        """The number of examples."""
+        return len(self.examples)
+
+    @property
+    def most(self) -> int:
+        """The largest number of touches of an example."""
+        return max(map(len, self.examples))
+
+    @property
+    def labels(self) -> Mapping[str, Any]:
+        """The kind of the touches, and -1 for the seed."""
+        return {"noise": OWN, "seed": -1}
+
+    def require_touches(self, together: Iterable[int]) -> None:
+        """Raise ConfigError if no example has as many touches as the largest of the numbers `together`."""
+        if max(together) > self.most:
+            raise ConfigError(
+                f"there are no {max(together)} touches to locate together: an example has at most {self.most}; name "
+                "the touches of one object at rest alike in the column 'example', or give a list of touches (.toml)"
+            )
+
+    def draw(self, number: int) -> TouchedExample:
+        """Return an example by its number. It ends before the first touch that cannot be read.
+
+        Raises TouchError if only some of several touches have a sensor pose.
+        """
+        localizers, touches, problem = self._localizers[number], [], ""
+        for localizer, listed in zip(localizers, self.examples[number], strict=True):
+            try:
+                touches.append(read_listed_touch(localizer, listed))
+            except TouchError as error:
+                problem = str(error)
+                break
+        return TouchedExample(tuple(zip(localizers, _place_sensors(touches), strict=False)), problem=problem)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what determines the examples, as JSON values."""
+        drawn = (self.draw(number) for number in range(self.count))
+        return {
+            "examples": [[*(_describe_touch(touch) for _, touch in one.observations), one.problem] for one in drawn]
+        }
+
+    @cached_property
+    def _localizers(self) -> list[list[Localizer]]:
+        """The localizer of each touch of each example."""
+        found = iter(match_localizers(self.localizer, chain.from_iterable(self.examples)))
+        return [[next(found) for _ in example] for example in self.examples]
+
+
+ExampleSource = DrawnExamples | LabelledExamples
+"""A series of examples. Example number i is always the same."""
+
+
+def _place_sensors(touches: list[Touch]) -> list[Touch]:
+    """Return touches with sensor poses in the object's frame, from their known poses, unless they have sensor poses.
+
+    Raises TouchError if only some of several touches have a sensor pose.
+    """
+    known = [touch.T_base_sensor is not None for touch in touches]
+    if len(touches) == 1 or all(known):
+        return touches
+    if any(known):
+        missing = touches[known.index(False)].name
+        raise TouchError(
+            f"{missing} has no T_base_sensor, but other touches of its example do; give it, or leave all out"
+        )
+    return [dataclasses.replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))) for touch in touches]
+
+
+def _describe_touch(touch: Touch) -> dict[str, Any]:
+    poses = {"true": touch.T_sensor_object, "sensor": touch.T_base_sensor}
+    arrays = {name: np.asarray(T) for name, T in poses.items() if T is not None}
+    return {
+        "touch": hash_arrays(depth=touch.contact_shape.depth_m, **arrays),
+        "sensor": touch.geometry.describe(),
+        "depths_m": [touch.press_depth_m, touch.indentation_m],
+        "std": [touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad],
+    }

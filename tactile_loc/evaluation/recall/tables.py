@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +12,9 @@ import numpy as np
 
 from tactile_loc.evaluation import text_tables
 from tactile_loc.evaluation.recall.evaluation import RECALL_VERSION
-from tactile_loc.evaluation.summary import (
-    CURVE_M,
-    DIAMETER_SHARES,
-    PROBABILITY_BINS,
-    RIGHT_M,
-    VERDICTS,
-    WITHIN_M,
-    ExampleSummary,
-)
+from tactile_loc.evaluation.summary import CURVE_M, DIAMETER_SHARES, RIGHT_M, WITHIN_M, ExampleSummary
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
-from tactile_loc.evaluation.text_tables import Columns, Row, Table, format_length, format_share, tabulate
+from tactile_loc.evaluation.text_tables import Row, Table, format_length, format_share, tabulate
 
 SCHEMA_VERSION = 2
 NAME = "recall"
@@ -62,43 +51,42 @@ def summarise_answers(table: ExampleTable) -> list[Row]:
     return [{**dict(zip(GROUP, key, strict=True)), **asdict(ExampleSummary.of(some))} for key, some in groups]
 
 
-_LABELS: Columns = {**{name: itemgetter(name) for name in GROUP[:-1]}, "touches": lambda row: str(row["touches"])}
+def _name_group(row: Row) -> dict[str, str]:
+    return {name: str(row[name]) for name in GROUP}
 
 
 def tabulate_recall(rows: Sequence[Row]) -> Table:
     """Return a row for each group: shares of first and listed poses within WITHIN_M, averages, median in mm, time."""
-    columns = {**_LABELS, "examples": lambda row: str(row["examples"])}
-    for k, within_m in enumerate(WITHIN_M):
-        columns[f"< {1e3 * within_m:g} mm"] = partial(_format_pair, "within", k)
-    columns |= {
-        "AUC": partial(_format_pair, "auc", None),
-        "AR MSSD": partial(_format_pair, "average_recall_mssd", None),
-    }
-    columns["median, mm"] = lambda row: format_length(row["median_m"])
-    columns["s"] = lambda row: "-" if row["median_s"] is None else f"{row['median_s']:.2f}"
-    return tabulate(rows, columns)
-
-
-def _format_pair(name: str, number: int | None, row: Row) -> str:
-    """Return a share of first poses, and in brackets that of listed poses."""
-    pair = (row[name], row[f"listed_{name}"])
-    first, listed = pair if number is None else (shares[number] for shares in pair)
-    return f"{format_share(first)} ({format_share(listed)})"
+    found = []
+    for row in rows:
+        pairs = dict(zip(WITHIN_M, zip(row["within"], row["listed_within"], strict=True), strict=True))
+        shares = {f"< {1e3 * within_m:g} mm": pair for within_m, pair in pairs.items()}
+        for head, name in (("AUC", "auc"), ("AR MSSD", "average_recall_mssd")):
+            shares[head] = row[name], row[f"listed_{name}"]
+        found.append(
+            {
+                **_name_group(row),
+                "examples": str(row["examples"]),
+                **{head: f"{format_share(first)} ({format_share(listed)})" for head, (first, listed) in shares.items()},
+                "median, mm": format_length(row["median_m"]),
+                "s": "-" if row["median_s"] is None else f"{row['median_s']:.2f}",
+            }
+        )
+    return tabulate(found)
 
 
 def tabulate_verdicts(rows: Sequence[Row]) -> Table:
     """Return a row for each group: the number of examples with each verdict, and the verdicts' reliability."""
-    columns = {**_LABELS}
-    for verdict in VERDICTS:
-        columns[verdict] = partial(_format_count, verdict)
-    columns["certain: right"] = _format_right
-    columns["determined"] = lambda row: str(row["determined"])
-    columns["of these certain"] = lambda row: format_share(row["determined_certain"])
-    return tabulate(rows, columns)
-
-
-def _format_count(verdict: str, row: Row) -> str:
-    return str(row["verdicts"][verdict])
+    return tabulate(
+        {
+            **_name_group(row),
+            **{verdict: str(count) for verdict, count in row["verdicts"].items()},
+            "certain: right": _format_right(row),
+            "determined": str(row["determined"]),
+            "of these certain": format_share(row["determined_certain"]),
+        }
+        for row in rows
+    )
 
 
 def _format_right(row: Row) -> str:
@@ -110,17 +98,18 @@ def _format_right(row: Row) -> str:
 
 def tabulate_bins(rows: Sequence[Row]) -> Table:
     """Return a row for each group: for each bin of probabilities, the stated and the right share, and the number."""
-    heads = [f"{100 * low:.0f} to {100 * high:.0f} %" for low, high in itertools.pairwise(PROBABILITY_BINS)]
-    columns = {**_LABELS}
-    for k, head in enumerate(heads):
-        columns[head] = partial(_format_bin, k)
-    return tabulate(rows, columns)
+    return tabulate(
+        {
+            **_name_group(row),
+            **{f"{100 * one['low']:.0f} to {100 * one['high']:.0f} %": _format_bin(one) for one in row["bins"]},
+        }
+        for row in rows
+    )
 
 
-def _format_bin(number: int, row: Row) -> str:
-    one = row["bins"][number]
-    shares = f"{format_share(one['stated'])}, {format_share(one['right'])}"
-    return f"{shares} ({one['examples']})" if one["examples"] else "-"
+def _format_bin(one: Row) -> str:
+    shown = f"{format_share(one['stated'])}, {format_share(one['right'])} ({one['examples']})"
+    return shown if one["examples"] else "-"
 
 
 def name_noise(noise: str) -> str:
@@ -135,18 +124,13 @@ def list_problems(table: ExampleTable) -> list[tuple[str, int]]:
 
 def format_markdown(table: ExampleTable, heading: str) -> str:
     """Return all tables as Markdown, lengths in mm."""
-    rows, parts = summarise_answers(table), [f"# {heading}\n"]
-    for note, some in (
-        (RECALL_NOTE, tabulate_recall(rows)),
-        (VERDICT_NOTE, tabulate_verdicts(rows)),
-        (BIN_NOTE, tabulate_bins(rows)),
-    ):
-        parts += [f"{note}\n", text_tables.format_markdown(some)]
-    parts.append(f"Presses without a usable touch, which do not count: {table.count_refused()}\n")
+    rows = summarise_answers(table)
+    parts: list[str | Table] = [RECALL_NOTE, tabulate_recall(rows), VERDICT_NOTE, tabulate_verdicts(rows)]
+    parts += [BIN_NOTE, tabulate_bins(rows)]
+    parts.append(f"Presses without a usable touch, which do not count: {table.count_refused()}")
     if problems := list_problems(table):
-        parts.append("Examples without a pose:\n")
-        parts.append("\n".join(f"- {count}: {problem}" for problem, count in problems) + "\n")
-    return "\n".join(parts)
+        parts += ["Examples without a pose:", "\n".join(f"- {count}: {problem}" for problem, count in problems)]
+    return text_tables.format_document(heading, parts)
 
 
 def format_csv(table: ExampleTable) -> str:

@@ -1,22 +1,31 @@
-"""Simulated examples: reproducible, from known poses, with the noise's error of the sensor pose."""
+"""Examples: simulated ones are reproducible, and those of touch files keep their poses and problems."""
 
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import rotation_angle
+from tactile_loc.core.geometry.rigid import axis_angle, rotation_angle
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.evaluation.recall.examples import DrawnExamples
+from tactile_loc.evaluation.recall.examples import DrawnExamples, LabelledExamples
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 
 
 @pytest.fixture(scope="module")
-def examples(store) -> DrawnExamples:
-    return DrawnExamples(Localizer.create("hook", store=store), SimulatedTouches("none", 1), 4, 3)
+def hook(store) -> Localizer:
+    return Localizer.create("hook", store=store)
+
+
+@pytest.fixture(scope="module")
+def examples(hook) -> DrawnExamples:
+    return DrawnExamples(hook, SimulatedTouches("none", 1), 4, 3)
 
 
 def test_an_example_is_at_rest_and_its_touches_show_contact(examples):
@@ -51,3 +60,72 @@ def test_the_description_states_the_noise_and_the_seed(examples):
     other = dataclasses.replace(examples, source=SimulatedTouches("mild", 1))
     assert examples.describe() != other.describe()
     assert examples.describe()["seed"] == 1
+
+
+@pytest.fixture
+def touches(hook):
+    return hook.simulate(3, seed=4)
+
+
+@pytest.fixture
+def folder(tmp_path, touches) -> Path:
+    for touch in touches:
+        write_touch(tmp_path / f"{touch.name}.npz", touch)
+    return tmp_path
+
+
+def write_table(folder: Path, touches, example: str = "x") -> Path:
+    rows = []
+    for touch in touches:
+        angle_deg, axis = axis_angle(touch.T_sensor_object[:3, :3])
+        numbers = [*(1e3 * touch.T_sensor_object[:3, 3]), angle_deg, *axis]
+        rows.append(f"{touch.name}.npz,{','.join(f'{v:.12g}' for v in numbers)},{example}")
+    path = folder / "poses.csv"
+    path.write_text("touch,x_mm,y_mm,z_mm,turn_deg,axis_x,axis_y,axis_z,example\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_the_known_poses_give_the_sensors_poses(hook, folder, touches):
+    examples = LabelledExamples.read(hook, [write_table(folder, touches)])
+    assert (examples.count, examples.most) == (1, 3)
+    for touch, (localizer, read) in zip(touches, examples.draw(0).observations, strict=True):
+        assert localizer is hook
+        assert np.allclose(read.T_sensor_object, touch.T_sensor_object, atol=1e-9)
+        assert np.allclose(read.T_base_sensor @ read.T_sensor_object, np.eye(4), atol=1e-9)
+        assert np.array_equal(read.contact_shape.depth_m, touch.contact_shape.depth_m)
+
+
+def test_several_tables_are_several_examples(hook, folder, touches):
+    single = write_table(folder, touches[:1]).rename(folder / "one.csv")
+    examples = LabelledExamples.read(hook, [single, write_table(folder, touches)])
+    assert [len(examples.draw(n).observations) for n in range(examples.count)] == [1, 3]
+
+
+def test_an_example_ends_before_a_touch_that_cannot_be_read(hook, folder, touches):
+    path = write_table(folder, touches)
+    (folder / f"{touches[1].name}.npz").write_bytes(b"damaged")
+    example = LabelledExamples.read(hook, [path]).draw(0)
+    assert [touch.name for _, touch in example.observations] == [f"{touches[0].name}.npz"]
+    assert touches[1].name in example.problem
+
+
+def test_more_touches_than_an_example_has_are_refused(hook, folder, touches):
+    examples = LabelledExamples.read(hook, [write_table(folder, touches)])
+    examples.require_touches((1, 3))
+    with pytest.raises(ConfigError):
+        examples.require_touches((1, 4))
+
+
+def test_other_poses_or_touches_have_another_description(hook, folder, touches):
+    path = write_table(folder, touches)
+    first = LabelledExamples.read(hook, [path]).describe()
+    assert LabelledExamples.read(hook, [path]).describe() == first
+    assert LabelledExamples.read(hook, [write_table(folder, touches[:2])]).describe() != first
+    write_touch(folder / f"{touches[0].name}.npz", touches[1])
+    assert LabelledExamples.read(hook, [write_table(folder, touches)]).describe() != first
+
+
+def test_sensor_poses_of_some_touches_only_are_refused(hook, folder, touches):
+    write_touch(folder / f"{touches[0].name}.npz", dataclasses.replace(touches[0], T_base_sensor=np.eye(4)))
+    with pytest.raises(TouchError, match=naming(touches[1].name, "T_base_sensor")):
+        LabelledExamples.read(hook, [write_table(folder, touches)]).draw(0)
