@@ -18,9 +18,9 @@ from tactile_loc.evaluation.fusion import FUSION_LINES
 from tactile_loc.evaluation.jobs import JobOutcome
 from tactile_loc.evaluation.metrics import METRICS as RECALL_METRICS
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
-from tactile_loc.evaluation.paper_tables import write_contact_tables, write_touch_tables
+from tactile_loc.evaluation.paper_tables import collect_contacts, collect_touches
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES
-from tactile_loc.evaluation.recall.tables import write_recall_tables
+from tactile_loc.evaluation.recall.tables import collect_answers
 from tactile_loc.evaluation.sweep.combination import Combination, combine
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import MEASURED, Sweep
@@ -64,7 +64,8 @@ def write_evaluation(folder: Path, names: tuple[str, ...] = ("pin", "hook"), tou
 
     tables = [make_touch_table(name, "pixel", seed, touches) for seed, name in enumerate(names)]
     runs = [EvaluatedRun(table, {"grid": {"name": "face"}}) for table in tables]
-    write_touch_tables(folder, runs, {"touches": touches, "noise": "mild", "seed": 1, "images": False}, "title")
+    protocol = {"touches": touches, "noise": "mild", "seed": 1, "images": False}
+    collect_touches(runs, protocol, "title").write(folder)
     Image.new("RGB", (2000, 300), "white").save(folder / "gallery-pin-pixel.png")
     return folder
 
@@ -89,7 +90,7 @@ def make_contact_table(name: str, encoder: str, seed: int, examples: int = 40) -
 def write_contacts(folder: Path) -> Path:
     """Write the files of an evaluation from 1, 2 and 5 contacts."""
     run = EvaluatedRun(make_contact_table("pin", "pixel", 0, 9))
-    write_contact_tables(folder, [run], {"examples": 9, "noise": "mild", "seed": 1}, "title")
+    collect_contacts([run], {"examples": 9, "noise": "mild", "seed": 1}, "title").write(folder)
     return folder
 
 
@@ -122,7 +123,7 @@ def make_recall_runs(names: tuple[str, ...] = ("pin", "hook"), examples: int = 1
 def write_recall(folder: Path) -> Path:
     """Write the files of an evaluation of what `run` answers, with random results."""
     about = {"examples": 12, "noises": ["none", "strong"], "seeds": [5], "images": False}
-    write_recall_tables(folder, make_recall_runs(), about, "title")
+    collect_answers(make_recall_runs(), about, "title").write(folder)
     return folder
 
 

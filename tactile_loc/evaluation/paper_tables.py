@@ -1,30 +1,42 @@
-"""Tables of the paper's protocol, by touch and by number of contacts: Markdown and CSV in mm, JSON in SI units."""
+"""The results of the paper's protocol, by touch and by number of contacts, as tables, and as JSON in SI units."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.evaluation import text_tables
 from tactile_loc.evaluation.ambiguity import AMBIGUOUS
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION
 from tactile_loc.evaluation.metrics import LEVELS
 from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES
 from tactile_loc.evaluation.summary import find_median, summarise_errors
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
-from tactile_loc.evaluation.text_tables import Row, Table, format_length, format_share, pivot, tabulate
+from tactile_loc.evaluation.text_tables import (
+    EvaluationResults,
+    NotedTable,
+    Row,
+    Table,
+    build_document,
+    format_length,
+    format_share,
+    pivot,
+    tabulate,
+)
 
 TOUCH_SCHEMA, CONTACTS_SCHEMA = 3, 2
 SHOWN = tuple(line for line in LINES if line != "random-10")  # the lines in the summary
 JUDGED = ("best-1", "reg-1", "chosen")  # tabulated separately for unambiguous touches
 AREAS = (0.0, 0.01, 0.02, 0.05, 0.15, 1.0)  # limits of contact areas, as shares of the observed pixels
 AREA_LINE, WITHIN_M = "chosen", 1e-3  # the line and the limit of error that are tabulated by contact area
+SHARE_TITLE = "median ADD divided by the mean ADD of random poses"
+AREA_TITLE = "by contact area, % of the sensor: median ADD of chosen, mm, share within 1 mm, (number of touches)"
+AMBIGUITY_TITLE = "share of ambiguous touches; median ADD of all touches and of the unambiguous ones, mm"
+COVERAGE_TITLE = "coverage: share of true poses in the credible sets; means of likelihood, entropy and expected error"
 SHARE_NOTE = "divided by the mean error of a random pose. Symmetric poses count as equal."
 AREA_NOTE = (
     "By contact area, the share of the sensor in contact: the median ADD of `chosen` in mm, the share of touches "
@@ -234,13 +246,28 @@ def _split_runs(table: ExampleTable, rows: Sequence[Row]) -> Iterator[tuple[str,
         yield f"## {name}, {encoder}", about, run, own
 
 
-def format_markdown(table: ExampleTable, heading: str) -> str:
-    """Return all tables of an evaluation from one touch as Markdown, lengths in mm."""
+def collect_touches(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str) -> EvaluationResults:
+    """Return all results from one touch, called "results"; `protocol` states the touches, noise and seed."""
+    table = join_runs(runs)
     lines, touches = summarise_lines(table, LINES, METRICS), summarise_touches(table)
-    parts: list[str | Table] = [f"Median ADD in mm and, in brackets, {SHARE_NOTE}", tabulate_medians(lines)]
-    parts += [AMBIGUITY_NOTE, tabulate_ambiguity(touches, lines), AREA_NOTE, tabulate_areas(touches)]
-    parts += ["Median time of each stage, ms:", tabulate_times(touches), COVERAGE_NOTE, tabulate_posteriors(touches)]
+    document = build_document(
+        TOUCH_SCHEMA,
+        protocol={"version": PROTOCOL_VERSION, **protocol},
+        runs=[{**run.describe(), **row} for run, row in zip(runs, touches, strict=True)],
+        summary=lines,
+        examples=table.describe(),
+    )
+    tables = [
+        NotedTable("", f"Median ADD in mm and, in brackets, {SHARE_NOTE}", tabulate_medians(lines)),
+        NotedTable("median ADD, mm", "", tabulate_medians(lines, format_median)),
+        NotedTable(SHARE_TITLE, "", tabulate_medians(lines, format_share_of_random)),
+        NotedTable(AMBIGUITY_TITLE, AMBIGUITY_NOTE, tabulate_ambiguity(touches, lines)),
+        NotedTable(AREA_TITLE, AREA_NOTE, tabulate_areas(touches)),
+        NotedTable("", "Median time of each stage, ms:", tabulate_times(touches)),
+        NotedTable(COVERAGE_TITLE, COVERAGE_NOTE, tabulate_posteriors(touches)),
+    ]
     others = {f"median {metric.upper()}": _find_medians(lines, metric) for metric in ("mssd", "add-s")}
+    parts: list[str | Table] = []
     for title, about, _, rows in _split_runs(table, lines):
         details = [
             {
@@ -253,33 +280,13 @@ def format_markdown(table: ExampleTable, heading: str) -> str:
             for row in rows
         ]
         parts += [title, f"{about}; ADD, mm:", tabulate(details)]
-    return text_tables.format_document(heading, parts)
-
-
-def record_touches(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all results from one touch as JSON values in SI units; `protocol` states the touches, noise and seed."""
-    table = join_runs(runs)
-    return text_tables.build_document(
-        TOUCH_SCHEMA,
-        protocol={"version": PROTOCOL_VERSION, **protocol},
-        runs=[{**run.describe(), **row} for run, row in zip(runs, summarise_touches(table), strict=True)],
-        summary=summarise_lines(table, LINES, METRICS),
-        examples=table.describe(),
+    return EvaluationResults(
+        "results", heading, document, _leave_out(lines, "contacts", "without_common"), tables, parts
     )
 
 
-def write_touch_tables(
-    folder: Path, runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str
-) -> list[Path]:
-    """Write results.json, results.csv and results.md and return their paths. Raises OutputError."""
-    document = record_touches(runs, protocol)
-    csv = _format_csv(document["summary"], ("contacts", "without_common"))
-    return text_tables.write_texts(folder, "results", document, csv=csv, md=format_markdown(join_runs(runs), heading))
-
-
-def _format_csv(rows: Sequence[Row], without: Sequence[str]) -> str:
-    kept = ({name: value for name, value in row.items() if name not in without} for row in rows)
-    return text_tables.format_csv([text_tables.show_in_mm(row) for row in kept])
+def _leave_out(rows: Sequence[Row], *names: str) -> list[Row]:
+    return [{name: value for name, value in row.items() if name not in names} for row in rows]
 
 
 # ---- by number of contacts
@@ -298,10 +305,23 @@ def tabulate_contacts(
     return pivot(named, names, "contacts", cell)
 
 
-def format_contacts_markdown(table: ExampleTable, heading: str) -> str:
-    """Return all tables of an evaluation by number of contacts as Markdown, lengths in mm."""
+def collect_contacts(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str) -> EvaluationResults:
+    """Return all results by number of contacts, called "contacts"; `protocol`: see `collect_touches`."""
+    table = join_runs(runs)
     rows = summarise_lines(table, FUSED_LINES)
-    parts: list[str | Table] = [CONTACTS_NOTE, "Medians:", tabulate_contacts(rows)]
+    document = build_document(
+        CONTACTS_SCHEMA,
+        protocol={"version": FUSION_VERSION, "contacts": np.unique(table["touches"]).tolist(), **protocol},
+        runs=[{**run.describe(), "random_mean_m": find_scale_m(run.table)} for run in runs],
+        summary=summarise_lines(table, FUSION_LINES),
+        examples=table.describe(),
+    )
+    tables = [
+        NotedTable("", f"{CONTACTS_NOTE}\n\nMedians:", tabulate_contacts(rows)),
+        NotedTable("median ADD by number of contacts, mm", "", tabulate_contacts(rows, format_median)),
+        NotedTable(SHARE_TITLE, "", tabulate_contacts(rows, format_share_of_random)),
+    ]
+    parts: list[str | Table] = []
     for title, about, run, own in _split_runs(table, rows):
         details = [
             {
@@ -316,27 +336,4 @@ def format_contacts_markdown(table: ExampleTable, heading: str) -> str:
         random = f"mean error of a random pose {format_mm(find_scale_m(run))} mm"
         refused = f"{run.count_refused()} presses without a touch were refused"
         parts += [title, f"{about}; {random}; {refused}", tabulate(details)]
-    return text_tables.format_document(heading, parts)
-
-
-def record_contacts(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all results by number of contacts as JSON values in SI units; `protocol`: see `record_touches`."""
-    table = join_runs(runs)
-    contacts = np.unique(table["touches"]).tolist()
-    return text_tables.build_document(
-        CONTACTS_SCHEMA,
-        protocol={"version": FUSION_VERSION, "contacts": contacts, **protocol},
-        runs=[{**run.describe(), "random_mean_m": find_scale_m(run.table)} for run in runs],
-        summary=summarise_lines(table, FUSION_LINES),
-        examples=table.describe(),
-    )
-
-
-def write_contact_tables(
-    folder: Path, runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str
-) -> list[Path]:
-    """Write contacts.json, contacts.csv and contacts.md and return their paths. Raises OutputError."""
-    table = join_runs(runs)
-    csv = _format_csv(summarise_lines(table, FUSED_LINES), ("metric",))
-    document, text = record_contacts(runs, protocol), format_contacts_markdown(table, heading)
-    return text_tables.write_texts(folder, "contacts", document, csv=csv, md=text)
+    return EvaluationResults("contacts", heading, document, _leave_out(rows, "metric"), tables, parts)

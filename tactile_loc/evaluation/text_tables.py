@@ -6,9 +6,10 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def format_markdown(table: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
-def format_document(heading: str, parts: Iterable[str | Table]) -> str:
+def format_document(heading: str, parts: Iterable[str | Sequence[Sequence[str]]]) -> str:
     """Return a heading, paragraphs and tables as Markdown."""
     texts = (f"{part}\n" if isinstance(part, str) else format_markdown(part) for part in parts)
     return "\n".join([f"# {heading}\n", *texts])
@@ -137,6 +138,39 @@ def require_parquet(what: str = "a table in Parquet", extra: str = "sweep") -> N
         raise MissingLibraryError(
             f"{what} needs pyarrow, which is not installed: pip install 'tactile-loc[{extra}]'"
         ) from error
+
+
+class NotedTable(NamedTuple):
+    """A table with a `title` for the terminal and a `note` for a document; where one is empty, it is not shown."""
+
+    title: str
+    note: str
+    table: Table
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluationResults:
+    """What an evaluation writes and shows: a JSON `document`, the `rows` of the CSV, and tables with their notes.
+
+    `details` are further parts of the Markdown document.
+    """
+
+    name: str
+    heading: str
+    document: dict[str, Any]
+    rows: Sequence[Row]
+    tables: Sequence[NotedTable]
+    details: Sequence[str | Table] = ()
+
+    def format_markdown(self) -> str:
+        """Return the tables with a note, and the details, as Markdown."""
+        noted = [part for one in self.tables if one.note for part in (one.note, one.table)]
+        return format_document(self.heading, [*noted, *self.details])
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write NAME.json, NAME.csv, with lengths in mm, and NAME.md; return their paths. Raises OutputError."""
+        csv = format_csv([show_in_mm(row) for row in self.rows])
+        return write_texts(folder, self.name, self.document, csv=csv, md=self.format_markdown())
 
 
 def build_document(schema_version: int, **values: Any) -> dict[str, Any]:

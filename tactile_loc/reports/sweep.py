@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tactile_loc.evaluation.sweep.sweep import IDENTITY
 from tactile_loc.io.streams.records import read_document
 from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.slots.registry import SLOTS
 
-FACTORS = ("object", *SLOTS, "noise", "seed", "count")  # every column "slot.option" is a factor, too
 NOT_COMPONENTS = ("object", "noise", "seed", "count")
 SHOWN_FACTORS = ("object", "encoder", "refiner")  # if no factor varies
 MEDIAN = "_median_mm"
@@ -76,7 +76,7 @@ def read_rows(document: Mapping[str, Any]) -> list[Row]:
 
 def is_factor(column: str) -> bool:
     """Return whether a column is a factor. Factors define a combination; all other columns are results."""
-    return column in FACTORS or (column.partition(".")[0] in SLOTS and "." in column)
+    return column in IDENTITY or (column.partition(".")[0] in SLOTS and "." in column)
 
 
 def find_varying(rows: Sequence[Row]) -> list[str]:

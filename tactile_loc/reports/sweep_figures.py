@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.evaluation.sweep.plan import find_varying_slots, name_choices
 from tactile_loc.evaluation.sweep.results import write_sweep_tables
-from tactile_loc.evaluation.sweep.sweep import Sweep
+from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, Sweep
 from tactile_loc.reports.evaluation_figures import COLOURS
 from tactile_loc.slots.registry import SLOTS
 from tactile_loc.view.pictures import group_nearby, make_figure, save_figure
@@ -35,15 +35,7 @@ LEAST_MM = 1e-6  # smaller errors are clipped before taking logarithms
 DIGIT, LINE, MARKER = 5.6, 10.0, 7.0  # points: width of a character, height of a label, size of a point's marker
 OFFSETS = [(5, 3), (5, -12), (-5, 3), (-5, -12), (0, 8), (0, -17), (5, 13), (-5, 13), (5, -22), (-5, -22), (9, -5)]
 
-
-@dataclass(frozen=True)
-class Point:
-    """One component for each slot, with the error, mm, and the time per touch, ms, as geometric means over objects."""
-
-    label: str
-    choices: tuple[int, ...]
-    error_mm: float
-    time_ms: float
+Points = Sequence[ChoiceMedian]
 
 
 def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
@@ -63,20 +55,27 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
     return written
 
 
-def list_points(sweep: Sweep, line: str, noise: str) -> list[Point]:
-    """Return a point for each combination of components that succeeded on all objects, in the plan's order."""
-    logs: dict[tuple[str, tuple[int, ...]], list[list[float]]] = {}
+def list_points(sweep: Sweep, line: str, noise: str) -> list[ChoiceMedian]:
+    """Return a point for each combination of components that succeeded on all objects, in the plan's order.
+
+    Errors and times are geometric means over the objects.
+    """
+    found: dict[tuple[int, ...], list[ChoiceMedian]] = {}
     for one in sweep.compute_medians(line):
         if one.noise == noise:
-            values = np.log(np.maximum([one.error_mm, one.time_ms], LEAST_MM)).tolist()
-            logs.setdefault((one.label, one.choices), []).append(values)
-    points = (Point(*names, *np.exp(np.mean(values, axis=0)).tolist()) for names, values in logs.items())
-    return [point for point in points if np.isfinite(point.error_mm + point.time_ms)]
+            found.setdefault(one.choices, []).append(one)
+    points = []
+    for some in found.values():
+        logs = np.log(np.maximum([(one.error_mm, one.time_ms) for one in some], LEAST_MM))
+        error_mm, time_ms = np.exp(logs.mean(axis=0)).tolist()
+        if np.isfinite(error_mm + time_ms):
+            points.append(some[0]._replace(object="", error_mm=error_mm, time_ms=time_ms))
+    return points
 
 
-def find_pareto_front(found: Sequence[Point]) -> list[Point]:
+def find_pareto_front(found: Points) -> list[ChoiceMedian]:
     """Return the points that no other point beats in both error and time, in order of increasing time."""
-    front: list[Point] = []
+    front: list[ChoiceMedian] = []
     for point in sorted(found, key=lambda p: (p.time_ms, p.error_mm)):
         if not front or point.error_mm < front[-1].error_mm:
             front.append(point)
@@ -164,7 +163,7 @@ class _Style:
         self._places = {slot: list(sweep.plan.slots).index(slot) for slot in slots}
         self._colour, self._marker = [*slots, None, None][:2]
 
-    def choose(self, point: Point) -> dict[str, Any]:
+    def choose(self, point: ChoiceMedian) -> dict[str, Any]:
         """Return the colour and the marker of a point."""
         colour = COLOURS[self._index(point, self._colour) % len(COLOURS)]
         return {"color": colour, "marker": MARKERS[self._index(point, self._marker) % len(MARKERS)]}
@@ -181,12 +180,12 @@ class _Style:
                 shown.append(Line2D([], [], color=colour, marker=marker, ls="", label=f"{slot} {name}"))
         return shown
 
-    def _index(self, point: Point, slot: str | None) -> int:
+    def _index(self, point: ChoiceMedian, slot: str | None) -> int:
         return point.choices[self._places[slot]] if slot else 0
 
 
 def _draw_points(
-    axes: Axes, found: Sequence[Point], front: Sequence[Point], numbers: Mapping[tuple[int, ...], int], style: _Style
+    axes: Axes, found: Points, front: Points, numbers: Mapping[tuple[int, ...], int], style: _Style
 ) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
@@ -216,9 +215,7 @@ def _draw_points(
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _write_list(
-    axes: Axes, found: Sequence[Point], front: Sequence[Point], numbers: Mapping[tuple[int, ...], int]
-) -> None:
+def _write_list(axes: Axes, found: Points, front: Points, numbers: Mapping[tuple[int, ...], int]) -> None:
     """Write the names of the numbered points, the best first."""
     axes.set_axis_off()
     ordered = sorted(found, key=lambda p: (p not in front, numbers[p.choices]))
@@ -233,7 +230,7 @@ def _write_list(
         axes.set_title(f"the Pareto front and the next best, {len(rows)} of {len(ordered)}", size=9, loc="left")
 
 
-def _locate_points(axes: Axes, found: Sequence[Point]) -> NDArray[np.float64]:
+def _locate_points(axes: Axes, found: Points) -> NDArray[np.float64]:
     """Return the approximate positions (N, 2) of points in a panel, in 1/72 inch, before margins are laid out."""
     figure = axes.get_figure()
     height = (figure.get_figheight() if figure else 1.0) / axes.get_gridspec().nrows  # type: ignore[union-attr]

@@ -30,7 +30,7 @@ def runs() -> list[EvaluatedRun]:
 @pytest.fixture(scope="module")
 def written(runs, tmp_path_factory) -> dict[str, str]:
     """The texts of the files, by suffix."""
-    paths = paper_tables.write_touch_tables(tmp_path_factory.mktemp("out"), runs, PROTOCOL, "title")
+    paths = paper_tables.collect_touches(runs, PROTOCOL, "title").write(tmp_path_factory.mktemp("out"))
     assert [path.name for path in paths] == ["results.json", "results.csv", "results.md"]
     return {path.suffix: path.read_text() for path in paths}
 
@@ -122,7 +122,7 @@ def test_empty_groups_show_a_dash_and_json_has_no_infinity():
     table = make_touch_table("pin", "pixel", 0)
     for ratio, shown in ((0.0, "-"), (np.inf, format_mm(np.median(table.errors_m("chosen", "add"))))):
         one = EvaluatedRun(ExampleTable.make(table.columns, ambiguity=ratio, contact_share=1.0))
-        found = json.loads(json.dumps(paper_tables.record_touches([one], PROTOCOL), allow_nan=False))
+        found = json.loads(json.dumps(paper_tables.collect_touches([one], PROTOCOL, "").document, allow_nan=False))
         assert paper_tables.tabulate_ambiguity(found["runs"], found["summary"])[1][-1] == shown
         assert (found["runs"][0]["unambiguous_median_m"]["chosen"] is None) == (ratio == 0)
         *others, last = paper_tables.tabulate_areas(found["runs"])[1][3:]
@@ -133,7 +133,7 @@ def test_empty_groups_show_a_dash_and_json_has_no_infinity():
 def test_an_unwritable_folder_is_refused(runs, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="`out`"):
-        paper_tables.write_touch_tables(tmp_path / "file", runs, PROTOCOL, "title")
+        paper_tables.collect_touches(runs, PROTOCOL, "title").write(tmp_path / "file")
 
 
 # ---- by number of contacts
@@ -141,7 +141,7 @@ def test_an_unwritable_folder_is_refused(runs, tmp_path):
 
 def test_contacts_have_their_medians_in_every_file(tmp_path):
     tables = [make_contact_table("pin", "pixel", 0), make_contact_table("hook", "pixel", 1)]
-    written = paper_tables.write_contact_tables(tmp_path, list(map(EvaluatedRun, tables)), {"examples": 40}, "Title")
+    written = paper_tables.collect_contacts(list(map(EvaluatedRun, tables)), {"examples": 40}, "Title").write(tmp_path)
     assert [path.name for path in written] == ["contacts.json", "contacts.csv", "contacts.md"]
     table, (document, rows, text) = tables[0], (path.read_text() for path in written)
     header, best, kinematic, *_ = paper_tables.tabulate_contacts(paper_tables.summarise_lines(table, FUSED_LINES))

@@ -57,9 +57,8 @@ def test_the_page_contains_the_gallery_as_a_small_image(page):
 def test_runs_of_several_encoders_have_different_names(tmp_path):
     names = [("pin", "pixel"), ("hook", "pixel"), ("pin", "moco")]
     runs = [EvaluatedRun(make_touch_table(*about, seed=0)) for about in names]
-    paper_tables.write_touch_tables(
-        tmp_path, runs, {"touches": 12, "noise": "mild", "seed": 1, "images": False}, "title"
-    )
+    protocol = {"touches": 12, "noise": "mild", "seed": 1, "images": False}
+    paper_tables.collect_touches(runs, protocol, "title").write(tmp_path)
     assert [run["name"] for run in page_in(tmp_path).data["runs"]] == ["pin, pixel", "hook, pixel", "pin, moco"]
 
 

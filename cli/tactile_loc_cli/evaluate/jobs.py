@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,11 +12,15 @@ from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc_cli import options
+from tactile_loc_cli.console import say, say_table, say_written
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+    from tactile_loc.evaluation.text_tables import EvaluationResults
     from tactile_loc.io.config import RunConfig
 
 Job = tuple["RunConfig", "ObjectModel"]
@@ -108,3 +112,28 @@ def _require_names(jobs: Sequence[Job]) -> None:
             raise ConfigError(
                 f"{other} and {settings.object.path} are both called {obj.name}; rename one, or run them separately"
             )
+
+
+def write_results(out: Path, found: EvaluationResults, figures: Mapping[str, Figure]) -> list[Path]:
+    """Write the files of an evaluation, and its figures as NAME.png. Return the paths. Raises OutputError."""
+    from tactile_loc.view.pictures import save_figure
+
+    return [*found.write(out), *(save_figure(out / f"{name}.png", figure) for name, figure in figures.items())]
+
+
+def say_results(found: EvaluationResults, left: int, name_encoders: bool = True) -> None:
+    """Show the tables of an evaluation that have a title. A column with a single encoder may be left out."""
+    for title, _, table in found.tables:
+        if title:
+            column = table[0].index("encoder")
+            if not name_encoders and len({row[column] for row in table[1:]}) == 1:
+                table = [[*row[:column], *row[column + 1 :]] for row in table]
+            say(title)
+            say_table(table, left=left)
+            say()
+
+
+def summarise_results(found: EvaluationResults, written: Sequence[Path]) -> dict[str, Any]:
+    """Show the paths of the files. Return an evaluation's document with these paths, without each example's numbers."""
+    document = {name: value for name, value in found.document.items() if name != "examples"}
+    return {**document, "written": say_written(written)}

@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING, Any
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.store.files import shorten_name
 from tactile_loc_cli import options
-from tactile_loc_cli.console import format_count, say, say_table, say_written
-from tactile_loc_cli.evaluate.jobs import Asked, Job, list_jobs, read_setting
+from tactile_loc_cli.console import format_count, say
+from tactile_loc_cli.evaluate.jobs import (
+    Asked,
+    Job,
+    list_jobs,
+    read_setting,
+    say_results,
+    summarise_results,
+    write_results,
+)
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
@@ -88,48 +96,18 @@ def _name_gallery(name: str, encoder: str) -> str:
 
 
 def _report(plan: _Plan, runs: Sequence[EvaluatedRun]) -> dict[str, Any]:
-    from tactile_loc.evaluation import paper_tables
+    from tactile_loc.evaluation.paper_tables import collect_touches
     from tactile_loc.evaluation.table import join_runs
     from tactile_loc.reports.evaluation_figures import draw_reliability, draw_violins
-    from tactile_loc.view.pictures import save_figure
 
     heading = f"Localisation from one touch: {plan.describe('touch')} for each object, seed {plan.touches.seed}"
-    protocol, table = {"touches": plan.count, **dataclasses.asdict(plan.touches)}, join_runs(runs)
-    written = paper_tables.write_touch_tables(plan.out, runs, protocol, heading)
-    written.append(save_figure(plan.out / "violins.png", draw_violins(table, heading)))
-    written.append(save_figure(plan.out / "reliability.png", draw_reliability(table, heading)))
+    table = join_runs(runs)
+    found = collect_touches(runs, {"touches": plan.count, **dataclasses.asdict(plan.touches)}, heading)
+    figures = {"violins": draw_violins(table, heading), "reliability": draw_reliability(table, heading)}
+    written = write_results(plan.out, found, figures)
     written += [plan.out / _name_gallery(*names) for names in table.group("object", "encoder")]
-    document = paper_tables.record_touches(runs, protocol)
-    lines, rows = document["summary"], document["runs"]
-    for title, some in (
-        ("median ADD, mm", paper_tables.tabulate_medians(lines, paper_tables.format_median)),
-        (
-            "median ADD divided by the mean ADD of random poses",
-            paper_tables.tabulate_medians(lines, paper_tables.format_share_of_random),
-        ),
-        (
-            "share of ambiguous touches; median ADD of all touches and of the unambiguous ones, mm",
-            paper_tables.tabulate_ambiguity(rows, lines),
-        ),
-        (
-            "by contact area, % of the sensor: median ADD of chosen, mm, share within 1 mm, (number of touches)",
-            paper_tables.tabulate_areas(rows),
-        ),
-        (
-            "coverage: share of true poses in the credible sets; means of likelihood, entropy and expected error",
-            paper_tables.tabulate_posteriors(rows),
-        ),
-    ):
-        say(title)
-        say_table(some)
-        say()
-    return _summarise(document, written)
-
-
-def _summarise(document: dict[str, Any], written: Sequence[Path]) -> dict[str, Any]:
-    """Print the paths of the files. Return an evaluation's document with these paths, without each touch's numbers."""
-    del document["examples"]
-    return {**document, "written": say_written(written)}
+    say_results(found, left=2)
+    return summarise_results(found, written)
 
 
 def _evaluate_fusion(jobs: Sequence[Job], contacts: Sequence[int], plan: _Plan) -> dict[str, Any]:
@@ -145,31 +123,19 @@ def _evaluate_fusion(jobs: Sequence[Job], contacts: Sequence[int], plan: _Plan) 
 
 
 def _report_fusion(runs: Sequence[EvaluatedRun], plan: _Plan) -> dict[str, Any]:
-    from tactile_loc.evaluation import paper_tables
-    from tactile_loc.evaluation.fusion import FUSED_LINES
+    from tactile_loc.evaluation.paper_tables import collect_contacts
     from tactile_loc.evaluation.table import join_runs
     from tactile_loc.reports.evaluation_figures import draw_contacts
-    from tactile_loc.view.pictures import save_figure
 
     heading = (
         f"Localisation from several contacts: {plan.describe('example')} for each object, seed {plan.touches.seed}"
     )
-    protocol = {"examples": plan.count, **dataclasses.asdict(plan.touches)}
-    written = paper_tables.write_contact_tables(plan.out, runs, protocol, heading)
-    written.append(save_figure(plan.out / "contacts.png", draw_contacts(join_runs(runs), heading)))
-    document = paper_tables.record_contacts(runs, protocol)
-    fused = [row for row in document["summary"] if row["line"] in FUSED_LINES]
-    for title, cell in (
-        ("median ADD by number of contacts, mm", paper_tables.format_median),
-        ("median ADD divided by the mean ADD of random poses", paper_tables.format_share_of_random),
-    ):
-        header, *rows = paper_tables.tabulate_contacts(fused, cell)
-        say(title)
-        say_table([[head.split()[0] for head in header], *rows], left=3)
-        say()
-    for run in document["runs"]:
-        _say_left_out(run, fused)
-    return _summarise(document, written)
+    found = collect_contacts(runs, {"examples": plan.count, **dataclasses.asdict(plan.touches)}, heading)
+    written = write_results(plan.out, found, {"contacts": draw_contacts(join_runs(runs), heading)})
+    say_results(found, left=3)
+    for run in found.document["runs"]:
+        _say_left_out(run, found.document["summary"])
+    return summarise_results(found, written)
 
 
 def _say_left_out(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:

@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc_cli import options
-from tactile_loc_cli.console import format_count, say, say_reasons, say_table, say_written
-from tactile_loc_cli.evaluate.jobs import Asked, Job, list_jobs, read_setting
+from tactile_loc_cli.console import format_count, say, say_reasons
+from tactile_loc_cli.evaluate.jobs import (
+    Asked,
+    Job,
+    list_jobs,
+    read_setting,
+    say_results,
+    summarise_results,
+    write_results,
+)
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
@@ -106,33 +114,19 @@ def _require_located(table: ExampleTable) -> None:
 
 def _report(runs: Sequence[EvaluatedRun], about: dict[str, Any], asked: Asked) -> dict[str, Any]:
     """Write the results and their pictures, print the tables, and return the results as JSON values."""
-    from tactile_loc.evaluation.recall import tables
     from tactile_loc.evaluation.recall.bop import make_scenes, write_bop
+    from tactile_loc.evaluation.recall.tables import collect_answers
     from tactile_loc.evaluation.table import join_runs
     from tactile_loc.reports.evaluation_figures import draw_recall
-    from tactile_loc.view.pictures import save_figure
 
     table, heading = join_runs(runs), _write_heading(about)
     _require_located(table)
-    written = tables.write_recall_tables(asked.out, runs, about, heading)
-    written.append(save_figure(asked.out / f"{tables.NAME}.png", draw_recall(table, heading)))
+    found = collect_answers(runs, about, heading)
+    written = write_results(asked.out, found, {found.name: draw_recall(table, heading)})
     written += write_bop(asked.out, make_scenes(table))
-    rows = tables.summarise_answers(table)
-    for title, some in (
-        (
-            "share of examples with a smaller surface distance: first pose (any listed pose)",
-            tables.tabulate_recall(rows),
-        ),
-        ("verdicts; certain: share within 1 mm (95 % interval)", tables.tabulate_verdicts(rows)),
-        ("probability of the first pose: mean, share within 1 mm (examples)", tables.tabulate_bins(rows)),
-    ):
-        say(title)
-        say_table(_drop_single(some), left=2)
-        say()
+    say_results(found, left=2, name_encoders=False)
     _say_left_out(table)
-    document = tables.record_runs(runs, about)
-    del document["examples"]
-    return {**document, "written": say_written(written)}
+    return summarise_results(found, written)
 
 
 def _write_heading(about: dict[str, Any]) -> str:
@@ -146,14 +140,6 @@ def _write_heading(about: dict[str, Any]) -> str:
         f"Localisation of the whole object: {format_count(about['examples'], 'simulated example')} for each object "
         f"({kind}), seed {seeds}"
     )
-
-
-def _drop_single(table: list[list[str]]) -> list[list[str]]:
-    """Return a table without the column of encoders if all are the same."""
-    column = table[0].index("encoder")
-    if len({row[column] for row in table[1:]}) > 1:
-        return table
-    return [[*row[:column], *row[column + 1 :]] for row in table]
 
 
 def _say_left_out(table: ExampleTable) -> None:

@@ -1,25 +1,32 @@
-"""Tables of the evaluation of what `run` answers: Markdown and CSV in mm, and JSON in SI units."""
+"""The results of the evaluation of what `run` answers, as tables, and as JSON in SI units."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactile_loc.evaluation import text_tables
 from tactile_loc.evaluation.recall.evaluation import RECALL_VERSION
 from tactile_loc.evaluation.summary import CURVE_M, DIAMETER_SHARES, RIGHT_M, WITHIN_M, ExampleSummary
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
-from tactile_loc.evaluation.text_tables import Row, Table, format_length, format_share, tabulate
+from tactile_loc.evaluation.text_tables import (
+    EvaluationResults,
+    NotedTable,
+    Row,
+    Table,
+    build_document,
+    format_length,
+    format_share,
+    tabulate,
+)
 
 SCHEMA_VERSION = 2
-NAME = "recall"
 ALL = "all"
 GROUP = ("object", "encoder", "noise", "touches")
+RECALL_TITLE = "share of examples with a smaller surface distance: first pose (any listed pose)"
 RECALL_NOTE = (
     "Errors are surface distances: the mean distance of the surface at the located pose from the surface at the true "
     "pose. The shares are of examples whose first pose (any listed pose) has a smaller error. Examples without a pose "
@@ -122,44 +129,10 @@ def list_problems(table: ExampleTable) -> list[tuple[str, int]]:
     return Counter(problem for problem in table["problem"].tolist() if problem).most_common()
 
 
-def format_markdown(table: ExampleTable, heading: str) -> str:
-    """Return all tables as Markdown, lengths in mm."""
-    rows = summarise_answers(table)
-    parts: list[str | Table] = [RECALL_NOTE, tabulate_recall(rows), VERDICT_NOTE, tabulate_verdicts(rows)]
-    parts += [BIN_NOTE, tabulate_bins(rows)]
-    parts.append(f"Presses without a usable touch, which do not count: {table.count_refused()}")
-    if problems := list_problems(table):
-        parts += ["Examples without a pose:", "\n".join(f"- {count}: {problem}" for problem, count in problems)]
-    return text_tables.format_document(heading, parts)
-
-
-def format_csv(table: ExampleTable) -> str:
-    """Return one row for each group as CSV: shares as 0 to 1, lengths in mm, times in seconds."""
-    return text_tables.format_csv([_list_columns(row) for row in summarise_answers(table)])
-
-
-def _list_columns(row: Row) -> dict[str, Any]:
-    within = {
-        f"{name}_{1e3 * m:g}_mm": share
-        for name in ("within", "listed_within")
-        for m, share in zip(WITHIN_M, row[name], strict=True)
-    }
-    averages = ("auc", "listed_auc", "average_recall_mssd", "listed_average_recall_mssd", "median_m")
-    last = ("certain_right", "determined", "determined_right", "determined_certain", "median_s", "p90_s")
-    return text_tables.show_in_mm(
-        {
-            **{name: row[name] for name in (*GROUP, "examples")},
-            **within,
-            **{name: row[name] for name in averages},
-            **{verdict.replace(" ", "_"): count for verdict, count in row["verdicts"].items()},
-            **{name: row[name] for name in last},
-        }
-    )
-
-
-def record_runs(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all results as JSON values in SI units; `protocol` states the examples, noises and seeds."""
+def collect_answers(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str) -> EvaluationResults:
+    """Return all results, called "recall"; `protocol` states the examples, noises and seeds."""
     table = join_runs(runs)
+    rows = summarise_answers(table)
     asked = {
         "version": RECALL_VERSION,
         "together": np.unique(table["touches"]).tolist(),
@@ -169,20 +142,32 @@ def record_runs(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any]) -> di
         "diameter_shares": [round(share, 9) for share in DIAMETER_SHARES],
         **protocol,
     }
-    return text_tables.build_document(
-        SCHEMA_VERSION,
-        protocol=asked,
-        runs=[run.describe() for run in runs],
-        summary=summarise_answers(table),
-        examples=table.describe(),
-    )
+    described = [run.describe() for run in runs]
+    document = build_document(SCHEMA_VERSION, protocol=asked, runs=described, summary=rows, examples=table.describe())
+    tables = [
+        NotedTable(RECALL_TITLE, RECALL_NOTE, tabulate_recall(rows)),
+        NotedTable("verdicts; certain: share within 1 mm (95 % interval)", VERDICT_NOTE, tabulate_verdicts(rows)),
+        NotedTable("probability of the first pose: mean, share within 1 mm (examples)", BIN_NOTE, tabulate_bins(rows)),
+    ]
+    details = [f"Presses without a usable touch, which do not count: {table.count_refused()}"]
+    if problems := list_problems(table):
+        details += ["Examples without a pose:", "\n".join(f"- {count}: {problem}" for problem, count in problems)]
+    return EvaluationResults("recall", heading, document, list(map(_list_columns, rows)), tables, details)
 
 
-def write_recall_tables(
-    folder: Path, runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str
-) -> list[Path]:
-    """Write recall.json, recall.csv and recall.md and return their paths. Raises OutputError."""
-    table = join_runs(runs)
-    return text_tables.write_texts(
-        folder, NAME, record_runs(runs, protocol), csv=format_csv(table), md=format_markdown(table, heading)
-    )
+def _list_columns(row: Row) -> Row:
+    """Return the columns of the CSV: shares as 0 to 1, times in seconds."""
+    within = {
+        f"{name}_{1e3 * m:g}_mm": share
+        for name in ("within", "listed_within")
+        for m, share in zip(WITHIN_M, row[name], strict=True)
+    }
+    averages = ("auc", "listed_auc", "average_recall_mssd", "listed_average_recall_mssd", "median_m")
+    last = ("certain_right", "determined", "determined_right", "determined_certain", "median_s", "p90_s")
+    return {
+        **{name: row[name] for name in (*GROUP, "examples")},
+        **within,
+        **{name: row[name] for name in averages},
+        **{verdict.replace(" ", "_"): count for verdict, count in row["verdicts"].items()},
+        **{name: row[name] for name in last},
+    }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.sweep.plan import SETTINGS
 from tactile_loc.evaluation.sweep.sweep import IDENTITY
-from tactile_loc.evaluation.text_tables import Row, format_csv, format_markdown
+from tactile_loc.evaluation.text_tables import Row, format_csv, format_document, tabulate
 from tactile_loc.slots.registry import SLOTS
 from tactile_loc.store.files import write_text
 
@@ -81,17 +81,15 @@ def format_texts(comparison: SweepComparison) -> list[dict[str, str]]:
 def write_comparison(out: Path, comparison: SweepComparison) -> list[Path]:
     """Write compare.md and compare.csv into the folder `out` and return their paths. Raises OutputError."""
     rows = format_texts(comparison)
-    texts = {"md": "\n".join(_format_markdown(comparison, rows)), "csv": format_csv(rows)}
+    versions = [[name, *both] for name, both in comparison.versions.items()] or [["none", "", ""]]
+    parts = [
+        f"Median error of `{comparison.line}`, mm. {summarise(comparison)}.",
+        tabulate(rows),
+        "Versions that differ:",
+        [["", "old", "new"], *versions],
+    ]
+    texts = {"md": format_document(f"Comparison of two sweeps: {comparison.line}", parts), "csv": format_csv(rows)}
     return [write_text(out / f"compare.{suffix}", text) for suffix, text in texts.items()]
-
-
-def _format_markdown(comparison: SweepComparison, rows: Sequence[Mapping[str, str]]) -> Iterator[str]:
-    yield f"# Comparison of two sweeps: {comparison.line}\n"
-    yield f"Median error of `{comparison.line}`, mm. {summarise(comparison)}.\n"
-    yield format_markdown([list(rows[0]), *(list(row.values()) for row in rows)])
-    yield "Versions that differ:\n"
-    differing = [[name, *both] for name, both in comparison.versions.items()] or [["none", "", ""]]
-    yield format_markdown([["", "old", "new"], *differing])
 
 
 def _describe(record: Mapping[str, Any], line: str) -> list[Row]:
@@ -102,36 +100,28 @@ def _describe(record: Mapping[str, Any], line: str) -> list[Row]:
     found = []
     for row in record["rows"]:
         settings = row["configuration"]
-        identity = {name: row[name] for name in IDENTITY} | {name: settings.get(name) for name in SETTINGS}
-        texts = {name: str(value) for name, value in {**identity, **_list_options(settings)}.items()}
+        known = {name: row[name] for name in IDENTITY} | {name: settings.get(name) for name in SETTINGS}
+        for slot in SLOTS:
+            chosen = settings[slot]
+            known |= {f"{slot}.{chosen['name']}.{option}": value for option, value in chosen["options"].items()}
         error_mm = row.get(f"{line}_median_mm")
+        texts = {name: str(value) for name, value in known.items()}
         found.append({**texts, ERROR: None if error_mm is None or error_mm != error_mm else float(error_mm)})
     return found
 
 
-def _list_options(settings: Mapping[str, Any]) -> dict[str, Any]:
-    chosen = {slot: settings[slot] for slot in SLOTS}
-    return {
-        f"{slot}.{one['name']}.{option}": value
-        for slot, one in chosen.items()
-        for option, value in one["options"].items()
-    }
-
-
-def _index_by_identity(rows: Sequence[Row], shared: Sequence[str]) -> dict[tuple[str, ...], Row]:
+def _index_by_identity(rows: Sequence[Row], shared: Sequence[str]) -> dict[Key, Row]:
     """Return rows by identity: the texts `shared`, or all texts if rows have equal `shared` texts.
 
     If several rows have the same identity, the first is kept.
     """
-
-    def index(names: Iterable[str]) -> dict[tuple[str, ...], Row]:
-        found: dict[tuple[str, ...], Row] = {}
-        for row in rows:
-            found.setdefault(tuple(row.get(name, "") for name in names), row)
-        return found
-
-    found = index(shared)
-    return found if len(found) == len(rows) else index({name: None for row in rows for name in row if name != ERROR})
+    every = dict.fromkeys(name for row in rows for name in row if name != ERROR)
+    found: dict[Key, Row] = {}
+    for names in (shared, every):
+        found = {tuple(row.get(name, "") for name in names): row for row in reversed(rows)}
+        if len(found) == len(rows):
+            break
+    return dict(reversed(found.items()))
 
 
 def _name_rows(rows: Mapping[Key, Row], every: Sequence[Row]) -> dict[Key, dict[str, str]]:
@@ -161,5 +151,4 @@ def _name_change(old_mm: float | None, new_mm: float | None) -> str:
 
 
 def _find_differing(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    both = {name: (old.get(name, "-"), new.get(name, "-")) for name in {**old, **new}}
-    return {name: pair for name, pair in both.items() if pair[0] != pair[1]}
+    return {name: (old.get(name, "-"), new.get(name, "-")) for name in {**old, **new} if old.get(name) != new.get(name)}

@@ -17,7 +17,7 @@ from tactile_loc.evaluation.text_tables import (
     Table,
     build_document,
     format_csv,
-    format_markdown,
+    format_document,
     pivot,
     write_parquet,
     write_texts,
@@ -91,19 +91,19 @@ def format_summary(sweep: Sweep, line: str) -> str:
     """Return, as Markdown, a table for each noise with the median ADD of `line`, mm, and a list of failures."""
     plan = sweep.plan
     seeds = f", mean over seeds {', '.join(map(str, plan.seeds))}" if len(plan.seeds) > 1 else ""
-    parts = [f"# Sweep: {line}\n"]
-    parts.append(
+    parts: list[str | Table] = [
         f"Median surface distance (ADD, symmetric poses equal) of `{line}` over {plan.count} simulated touches, "
         f"mm{seeds}. The best value of each column is bold."
-    )
+    ]
     same = [f"{slot} {choices[0].name}" for slot, choices in plan.slots.items() if len(choices) == 1]
     if same:
         parts.append(f"Common to all rows: {', '.join(same)}.")
     medians = sweep.compute_medians(line)
     for noise in plan.noises:
-        parts.append(f"\n## Noise: {noise}\n\n{format_markdown(tabulate_medians(medians, noise, _mark_best))}")
-    parts += _list_failures(sweep)
-    return "\n".join(parts).rstrip() + "\n"
+        parts += [f"## Noise: {noise}", tabulate_medians(medians, noise, _mark_best)]
+    if sweep.failed:
+        parts += [f"## Failed: {sweep.failed} of {len(sweep.combinations)}", "\n".join(_list_failures(sweep))]
+    return format_document(f"Sweep: {line}", parts)
 
 
 def tabulate_medians(medians: Sequence[ChoiceMedian], noise: str, cell: Callable[[float, float], str]) -> Table:
@@ -130,8 +130,6 @@ def _mark_best(error_mm: float, best_mm: float) -> str:
 
 
 def _list_failures(sweep: Sweep) -> Iterator[str]:
-    if sweep.failed:
-        yield f"\n## Failed: {sweep.failed} of {len(sweep.combinations)}\n"
     for one in sweep.combinations:
         error = sweep.outcomes[one.key].error
         if error:
