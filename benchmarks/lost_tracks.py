@@ -25,11 +25,11 @@ from pathlib import Path
 
 import numpy as np
 from sequences import FOUND_M, make_sliding, start_tracker, track
+from tactile_loc_benchmark.sliding_touches import Frame
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.geometry.rigid import invert, make_translation
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.evaluation.sequences import Frame
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.store.store import StageStore

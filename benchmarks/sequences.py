@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Errors of tracking an object while a sensor slides and rotates over it, and the recovery after a jump.
 
-Sequences are those of `tactile_loc.evaluation.sequences`. The sensor touches from any direction, and touches are drawn
-by ray casting, with 100 frames a second. The noise is mild, and stays on the gel for a quarter of a second. The errors
-of the sensor's poses are 0.1 mm and 0.1 degrees. Three methods get the same frames. The tracker starts with an error of
-1 mm and 1 degree. Localisation locates each tenth frame alone. ICP registers each frame's surface to that of the frame
-before; it starts at the truth, and uses the sensor's motion as a prediction.
+Sequences are those of `tactile_loc_benchmark.sliding_touches`. The sensor touches from any direction, and touches are
+drawn by ray casting, with 100 frames a second. The noise is mild, and stays on the gel for a quarter of a second. The
+errors of the sensor's poses are 0.1 mm and 0.1 degrees. Three methods get the same frames. The tracker starts with an
+error of 1 mm and 1 degree. Localisation locates each tenth frame alone. ICP registers each frame's surface to that of
+the frame before; it starts at the truth, and uses the sensor's motion as a prediction.
 
 Errors are those of the object's centroid and rotation, modulo symmetry: the median and the 95 % quantile over all
 frames, and the error at the end. Times are the median and the 99th percentile (wall clock) over the frames in which the
@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
+from tactile_loc_benchmark.sliding_touches import Frame, SlidingTouches, Slip
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.bases.cloud_refiner import Cloud
@@ -38,7 +39,6 @@ from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import Frame, SlidingTouches, Slip
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from sequences import START_STD
+from tactile_loc_benchmark.sliding_touches import Frame, Slip
 from track_starts import (
     ELASTIC,
     ELASTIC_RATE_HZ,
@@ -39,7 +40,6 @@ from track_starts import (
 from tactile_loc.core.geometry.lie import move
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.evaluation.sequences import Frame, Slip
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.tracking.tracker import Tracker
 

@@ -36,6 +36,7 @@ import numpy as np
 from elastic_gel import SIZES_PX, press_elastic, view_as
 from reliability import add_noise
 from sequences import SENSOR_STD_M, SENSOR_STD_RAD
+from tactile_loc_benchmark.sliding_touches import Frame, SlidingTouches
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.poses.candidate import Candidate
@@ -45,7 +46,6 @@ from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import Frame, SlidingTouches
 from tactile_loc.locate.hypotheses import compare_refined
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.freedom import explain_as_well

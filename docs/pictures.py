@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tactile_loc_benchmark.sliding_touches import SlidingTouches
 
 from tactile_loc.core.geometry.lie import compute_pose_errors, move_covariance
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
@@ -22,7 +23,6 @@ from tactile_loc.core.runtime.formatting import format_millimetres, format_perce
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.planning.approaches import draw_approaches

@@ -21,12 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from tactile_loc_benchmark.sliding_touches import Frame, SlidingTouches
 from tactile_loc_cli.console import make_progress
 
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import Frame, SlidingTouches
 from tactile_loc.evaluation.text_tables import format_markdown
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.registry import registry

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from tactile_loc.evaluation.recall.bop import BopScene as BopScene
     from tactile_loc.evaluation.recall.bop import write_bop as write_bop
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
-    from tactile_loc.evaluation.sequences import SlidingTouches as SlidingTouches
     from tactile_loc.evaluation.summary import ExampleSummary as ExampleSummary
     from tactile_loc.evaluation.sweep.plan import Plan as Plan
     from tactile_loc.evaluation.sweep.sweep import run_sweep as run_sweep

@@ -43,24 +43,15 @@ ARRAYS = (*MEASURED, "ambiguity", "contact_share", "refused")
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredTouch:
-    """One located touch: errors (L, M) and poses (L, 4, 4), metres, seconds (S,), and metrics (B,)."""
-
-    errors_m: NDArray[np.float64]
-    T_sensor_object: Poses
-    seconds: NDArray[np.float64]
-    posterior_metrics: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
 class TouchEvaluator:
     """Locates touches with known poses on a localizer's object, and measures every line of the protocol."""
 
     localizer: Localizer
 
-    def measure(self, touch: Touch, rng: np.random.Generator) -> MeasuredTouch:
-        """Locate a touch with a known pose and measure the errors.
+    def measure(self, touch: Touch, rng: np.random.Generator) -> Arrays:
+        """Locate a touch with a known pose and return the arrays MEASURED.
 
+        These are errors (L, M) and poses (L, 4, 4), metres, of LINES, seconds (S,) of STAGES, and POSTERIOR_METRICS.
         `rng` draws the random poses. The time of refinement is the time for one pose. Raises TouchError without a true
         pose.
         """
@@ -75,7 +66,7 @@ class TouchEvaluator:
         poses = self._choose_lines(posterior.grid, truth, top, guesses, refined, chosen)
         seconds = np.array([times.seconds[stage] for stage in STAGES])
         errors_m, metrics = self._measure_errors(poses, truth), measure_posterior(posterior, truth, rng)
-        return MeasuredTouch(errors_m, poses, seconds, metrics)
+        return errors_m, poses, seconds, metrics
 
     def _refine(self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64]) -> tuple[Poses, float]:
         """Refine the grid poses `top` (K,); return them (K, 4, 4), metres, and the seconds for the first pose."""
@@ -190,8 +181,12 @@ def _localise(evaluator: TouchEvaluator, source: SimulatedTouches, numbers: Sequ
         for number, touch in zip(numbers, touches, strict=True):
             rows.append(evaluator.measure(touch, np.random.default_rng(source.seed_touch(number, 1))))
             advance(1)
-    measured = (np.stack([getattr(row, name) for row in rows]) for name in MEASURED)
-    return [*measured, ambiguity, np.array([touch.contact_share for touch in touches]), np.array(refused)]
+    return [
+        *map(np.stack, zip(*rows, strict=True)),
+        ambiguity,
+        np.array([touch.contact_share for touch in touches]),
+        np.array(refused),
+    ]
 
 
 def measure_in_shards(

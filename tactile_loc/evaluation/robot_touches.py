@@ -154,8 +154,13 @@ class RobotTouches:
         """
         if self.sensor_std_m == self.sensor_std_rad == 0:
             return T_base_sensor
-        error = move_about_gel(self.geometry, self.sensor_std_rad * turn, self.sensor_std_m * shift)
-        return np.asarray(T_base_sensor @ error)
+        return np.asarray(T_base_sensor @ self.move_about_gel(self.sensor_std_rad * turn, self.sensor_std_m * shift))
+
+    def move_about_gel(self, turn_rad: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Poses:
+        """Return the motion (4, 4) by a rotation vector (3,), radians, about the gel's middle and a shift (3,), m."""
+        gel, angle_rad = np.array([0.0, 0.0, self.geometry.standoff_m]), float(np.linalg.norm(turn_rad))
+        R = rotation_about(turn_rad, angle_rad) if angle_rad > 0 else np.eye(3)
+        return make_transform(R, gel - R @ gel + shift_m)
 
 
 def touches_enough(
@@ -167,13 +172,6 @@ def touches_enough(
     """
     contact = (depth_m < np.float32(press_m)) & geometry.observed_mask
     return bool(contact.sum() >= max(1.0, least_percent / 100 * geometry.observed_mask.sum()))
-
-
-def move_about_gel(geometry: SensorGeometry, turn_rad: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Poses:
-    """Return the motion (4, 4) by a rotation vector (3,), radians, about the gel's middle and a shift (3,), metres."""
-    gel, angle_rad = np.array([0.0, 0.0, geometry.standoff_m]), float(np.linalg.norm(turn_rad))
-    R = rotation_about(turn_rad, angle_rad) if angle_rad > 0 else np.eye(3)
-    return make_transform(R, gel - R @ gel + shift_m)
 
 
 def measure_noisily(

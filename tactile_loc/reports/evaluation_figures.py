@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -76,8 +75,7 @@ def _make_object_panels(
     width, height = size
     columns = min(3, len(objects))
     rows = -(-len(objects) // columns)
-    figure = make_figure(max(6.4, width * columns) + wider, height * rows + 1.1, constrained=True)
-    figure.suptitle(textwrap.fill(title, int(8.5 * figure.get_figwidth())), size=13, weight="bold")
+    figure = make_figure(max(6.4, width * columns) + wider, height * rows + 1.1, constrained=True, title=title)
     panels = add_panels(figure, len(objects), columns, sharey=True)
     for axes in panels[:, 0]:
         axes.set_ylabel("ADD / mean ADD of a random pose")
@@ -93,8 +91,7 @@ def draw_gallery(localizer: Localizer, table: ExampleTable, touches: SimulatedTo
     """
     errors_m = table.errors_m(GALLERY_LINE, "add")
     chosen = _choose_touches(errors_m)
-    figure = make_figure(2.35 * len(chosen) + 1.3, 5.8, constrained=True)
-    figure.suptitle(textwrap.fill(title, int(8.5 * figure.get_figwidth())), size=13, weight="bold")
+    figure = make_figure(2.35 * len(chosen) + 1.3, 5.8, constrained=True, title=title)
     panels: NDArray[Any] = figure.subplots(2, len(chosen), squeeze=False, sharex=True, sharey=True)
     deepest_m = localizer.scene.geometry.max_depth_m
     for column, (kind, number) in zip(panels.T, chosen, strict=True):
@@ -197,8 +194,7 @@ def draw_reliability(table: ExampleTable, title: str) -> Figure:
     The left panel shows the coverage of credible sets against their probability, with a curve for each run. The right
     panel shows the error of the refined most probable pose against the posterior's entropy, with a dot for each touch.
     """
-    figure = make_figure(11.5, 5.4, constrained=True)
-    figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
+    figure = make_figure(11.5, 5.4, constrained=True, title=title)
     coverage, entropy = figure.subplots(1, 2)
     for number, (names, run) in enumerate(table.group("object", "encoder").items()):
         colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number // len(COLOURS) % len(MARKERS)]
@@ -276,8 +272,7 @@ def draw_recall(table: ExampleTable, title: str) -> Figure:
     the recall of any listed pose. Bins with fewer than FEW examples are left out.
     """
     groups = table.group("encoder", "noise", "touches")
-    figure = make_figure(11.5, 5.6, constrained=True)
-    figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
+    figure = make_figure(11.5, 5.6, constrained=True, title=title)
     recall, reliability = figure.subplots(1, 2, width_ratios=[1.25, 1])
     colours = dict(zip(dict.fromkeys(touches for *_, touches in groups), itertools.cycle(COLOURS), strict=False))
     styles = dict(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,7 +114,10 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
     listed = min(MOST_LISTED, max(map(len, panels.values())))
     height = max(4.6, 1.3 + LIST_LINE * listed)
     aside = 1.0 + LETTER * max(22 + len(point.label) for found in panels.values() for point in found)
-    figure = make_figure(PANEL + aside, height * len(panels) + 0.6, constrained=True)
+    objects = [show_name(one.path.rpartition("/")[2]) for one in sweep.plan.objects]
+    among = "" if len(objects) == 1 else "geometric mean over "
+    title = f"Error against time: {among}{', '.join(objects)}; {sweep.plan.count} touches each"
+    figure = make_figure(PANEL + aside, height * len(panels) + 0.6, constrained=True, title=title)
     axes: NDArray[Any] = figure.subplots(len(panels), 2, squeeze=False, width_ratios=[PANEL, aside])
     style = _Style(sweep)
     for (noise, found), (left, right) in zip(panels.items(), axes, strict=True):
@@ -126,10 +128,6 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
         left.set_ylabel(f"median error of {line} (mm)")
         left.set_xlabel("median time per touch, one pose refined (ms)")
         _write_list(right, found, front, numbers)
-    objects = [show_name(one.path.rpartition("/")[2]) for one in sweep.plan.objects]
-    among = "" if len(objects) == 1 else "geometric mean over "
-    title = f"Error against time: {among}{', '.join(objects)}; {sweep.plan.count} touches each"
-    figure.suptitle(textwrap.fill(title, 100), size=13, weight="bold")
     figure.legend(handles=style.make_handles(), loc="outside lower left", ncols=6, frameon=False, fontsize=9)
     return figure
 
@@ -144,13 +142,13 @@ def draw_effects(sweep: Sweep, line: str) -> Figure | None:
     if not found:
         return None
     heights = [0.62 + 0.42 * len(ratios) for ratios in found.values()]
-    figure = make_figure(9.5, sum(heights) + 1.4, constrained=True)
+    title = "Effect of each component, all else equal (left is better)"
+    figure = make_figure(9.5, sum(heights) + 1.4, constrained=True, title=title)
     panels: NDArray[Any] = figure.subplots(len(found), 1, squeeze=False, sharex=True, height_ratios=heights)
     for axes, (slot, ratios) in zip(panels.flat, found.items(), strict=True):
         _draw_effect(axes, slot, ratios)
     _scale_ratios(panels[-1, 0], np.concatenate([r for ratios in found.values() for r in ratios.values()]))
     panels[-1, 0].set_xlabel(f"error of {line} with this choice / geometric mean over the slot's choices")
-    figure.suptitle("Effect of each component, all else equal (left is better)", size=13, weight="bold")
     return figure
 
 

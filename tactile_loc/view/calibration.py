@@ -50,8 +50,7 @@ def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Se
     estimated point.
     """
     shown = list(numbers)[:MOST]
-    figure = make_figure(13.5, 2.9 * len(shown) + 0.6, constrained=True)
-    figure.suptitle(title, size=13, weight="bold")
+    figure = make_figure(13.5, 2.9 * len(shown) + 0.6, constrained=True, title=title)
     rows: NDArray[Any] = figure.subplots(len(shown), 4, squeeze=False)
     for row, number in zip(rows, shown, strict=True):
         _draw_reading(figure, row, estimator, presses, number)
@@ -111,8 +110,7 @@ def draw_labels(found: FoundPresses, title: str) -> Figure:
     columns = min(MOST_COLUMNS, max(3, math.ceil(math.sqrt(count))))
     height, width = found.untouched.shape[:2]
     rows, tile = -(-count // columns), TILE_INCH * height / width + 0.42
-    figure = make_figure(TILE_INCH * columns + 0.2, tile * rows + 0.6, constrained=True)
-    figure.suptitle(title, size=12, weight="bold")
+    figure = make_figure(TILE_INCH * columns + 0.2, tile * rows + 0.6, constrained=True, title=title)
     tiles: list[Any] = list(add_panels(figure, count, columns).flat)
     for axes in tiles:
         axes.set(xticks=[], yticks=[])

@@ -71,8 +71,7 @@ def draw_touches(touches: Sequence[Touch], title: str) -> Figure:
     shown = list(touches)[:MOST_TOUCHES]
     columns = min(5, len(shown))
     rows = -(-len(shown) // columns)
-    figure = make_figure(2.5 * columns + 1.0, 2.7 * rows + 0.9, constrained=True)
-    figure.suptitle(title, size=12, weight="bold")
+    figure = make_figure(2.5 * columns + 1.0, 2.7 * rows + 0.9, constrained=True, title=title)
     grid = add_panels(figure, len(shown), columns)
     deepest_m = max(touch.press_depth_m for touch in shown)  # one colour scale for all
     for axes, touch in zip(grid.flat, shown, strict=False):
@@ -289,11 +288,16 @@ def compute_extent_mm(geometry: SensorGeometry) -> tuple[float, float, float, fl
     return 1e3 * left, 1e3 * right, 1e3 * bottom, 1e3 * top
 
 
-def make_figure(width: float, height: float, constrained: bool = False) -> Figure:
-    """Return an empty figure of `width` by `height` inches that can be saved without matplotlib's global state."""
+def make_figure(width: float, height: float, constrained: bool = False, title: str = "") -> Figure:
+    """Return an empty figure of `width` by `height` inches that can be saved without matplotlib's global state.
+
+    A `title` is for figures that are `constrained`, whose layout keeps labels apart.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout=LAYOUT if constrained else None)
     FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(textwrap.fill(title, int(8.5 * width)), size=13, weight="bold")
     return figure

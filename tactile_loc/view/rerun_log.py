@@ -67,7 +67,7 @@ class RerunLog:
         self._stream.save(path)
         self._stream.set_log_time_enabled(False)
         self._stream.set_log_tick_enabled(False)
-        self._shown: dict[str, bool] = {}
+        self._log, self._shown = self._stream.log, dict[str, bool]()
         self._begin(reduce_mesh(scene.object.mesh), scene.geometry)
 
     def __enter__(self) -> RerunLog:
@@ -110,9 +110,6 @@ class RerunLog:
             raise OutputError(
                 f"{self._name} cannot be written ({error}); free some space, or choose another `rerun`"
             ) from error
-
-    def _log(self, path: str, what: Any, static: bool = False) -> None:
-        self._stream.log(path, what, static=static)
 
     def _begin(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
         """Write the gel, and the object's surface, which is hidden at first."""

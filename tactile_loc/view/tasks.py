@@ -27,8 +27,7 @@ def draw_next_touch(found: NextTouch, title: str) -> Figure:
     count = min(SHOWN, len(depths))
     columns = min(COLUMNS, count)
     rows = -(-count // columns)
-    figure = make_figure(2.6 * columns + 4.6, max(3.6, 2.45 * rows + 1.0), constrained=True)
-    figure.suptitle(title, size=12, weight="bold")
+    figure = make_figure(2.6 * columns + 4.6, max(3.6, 2.45 * rows + 1.0), constrained=True, title=title)
     parts: Any = figure.subfigures(1, 2, width_ratios=[2.6 * columns, 4.6])
     left, right = parts
     panels = add_panels(left, count, columns)
@@ -65,8 +64,7 @@ def _draw_entropies(axes: Any, ranked: tuple[RatedApproach, ...], before: float)
 def draw_hand_eye(found: HandEyeCalibration, title: str) -> Figure:
     """Draw the residual of each touch, in mm and in degrees, at the first guess and at the found mount."""
     names = [touch.name for touch in found.given.touches]
-    figure = make_figure(max(7.0, 0.45 * len(names) + 2.5), 6.4, constrained=True)
-    figure.suptitle(title, size=12, weight="bold")
+    figure = make_figure(max(7.0, 0.45 * len(names) + 2.5), 6.4, constrained=True, title=title)
     panels: Any = figure.subplots(2, 1, sharex=True)
     kinds = (("residual (mm)", 1e3), ("residual (degrees)", float(np.degrees(1.0))))
     for k, (axes, (label, unit)) in enumerate(zip(panels, kinds, strict=True)):

@@ -10,7 +10,6 @@ from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.evaluation import fusion
 from tactile_loc.evaluation.fusion import FUSION_LINES, MOST_FUSED, evaluate_fusion, make_fusion_key
 from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
@@ -155,32 +154,6 @@ def test_refused_presses_are_counted(pipe, monkeypatch):
     monkeypatch.setattr(SimulatedTouches, "draw_counted", after_refusals)
     found = evaluate_fusion(pipe, (3,), 2, SOURCE)
     assert found["refused"].tolist() == [0 + 1 + 2, 3 * MOST_FUSED + 0 + 1 + 2]
-
-
-def test_an_interrupted_evaluation_resumes_with_the_same_errors(evaluation, pipe, monkeypatch):
-    pipe.store.remove(make_fusion_key(pipe, CONTACTS, COUNT, SOURCE).digest)
-    monkeypatch.setattr(fusion, "SHARD", 2)
-    located: list[int] = []
-    example = fusion._FusedExamples._locate_example
-
-    def interrupted(self, number, *others):
-        located.append(number)
-        if located == [0, 1, 2, 3]:
-            raise KeyboardInterrupt
-        return example(self, number, *others)
-
-    monkeypatch.setattr(fusion._FusedExamples, "_locate_example", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
-    resumed = evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
-    assert located == [0, 1, 2, 3, 2, 3]  # the first shard stayed
-    assert_same(resumed, evaluation)
-
-
-def test_a_finished_evaluation_is_not_repeated(evaluation, pipe, monkeypatch):
-    monkeypatch.setattr(fusion._FusedExamples, "locate", lambda *others: pytest.fail("an example was located again"))
-    again = evaluate_fusion(fresh(pipe.store), CONTACTS, COUNT, SOURCE)
-    assert_same(again, evaluation)
 
 
 @pytest.mark.slow

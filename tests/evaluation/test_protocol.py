@@ -11,13 +11,21 @@ from message_helpers import naming
 
 from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
-from tactile_loc.evaluation import protocol
 from tactile_loc.evaluation.metrics import PoseJudge
 from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
-from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES, TouchEvaluator, evaluate, make_evaluation_key
+from tactile_loc.evaluation.protocol import (
+    LINES,
+    METRICS,
+    STAGES,
+    TouchEvaluator,
+    evaluate,
+    make_evaluation_key,
+    measure_in_shards,
+)
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 
 COUNT = 6
@@ -112,33 +120,25 @@ def test_all_encoders_get_the_same_touches(plain, localizer):
     assert not (other.errors_m("best-1", "add") == plain.errors_m("best-1", "add")).all()
 
 
-@pytest.mark.slow
-def test_an_interrupted_evaluation_resumes_with_the_same_errors(plain, localizer, tmp_path, monkeypatch):
-    monkeypatch.setattr(protocol, "SHARD", 2)
-    store, measured = StageStore(tmp_path), []
-    measure = TouchEvaluator.measure
+def test_interrupted_measurements_resume_with_the_last_shard_and_finished_ones_are_not_repeated(tmp_path):
+    asked: list[list[int]] = []
 
-    def interrupted(self, touch, *others):
-        if touch.name == "touch-0003" and len(measured) == 3:
+    def make(numbers):
+        asked.append(list(numbers))
+        if len(asked) == 2:
             raise KeyboardInterrupt
-        measured.append(touch.name)
-        return measure(self, touch, *others)
+        return [np.array(numbers), np.array(numbers)[:, None] / 2]
 
-    monkeypatch.setattr(TouchEvaluator, "measure", interrupted)
+    def measure():
+        key = StageKey("shards", 1, {"of": "a test"})
+        return measure_in_shards(StageStore(tmp_path), key, ("whole", "half"), 5, 2, make)
+
     with pytest.raises(KeyboardInterrupt):
-        evaluate(fresh(store, refiner="none"), COUNT, SimulatedTouches("strong", 3))
-    measured.append("interrupted")
-    resumed = evaluate(fresh(store, refiner="none"), COUNT, SimulatedTouches("strong", 3))
-    after = measured[measured.index("interrupted") + 1 :]
-    assert after == [f"touch-{i:04d}" for i in (2, 3, 4, 5)]  # the first shard stayed
-    assert_same(plain, resumed)
-
-
-def test_a_finished_evaluation_is_not_repeated(evaluation, localizer, monkeypatch):
-    monkeypatch.setattr(TouchEvaluator, "measure", lambda *others: pytest.fail("a touch was localised again"))
-    again = evaluate(fresh(localizer.store), COUNT, SimulatedTouches("strong", 3))
-    assert_same(again, evaluation)
-    assert (again["match_s"] == evaluation["match_s"]).all()
+        measure()
+    for _ in range(2):
+        found = measure()
+        assert (found["whole"].tolist(), found["half"][:, 0].tolist()) == ([0, 1, 2, 3, 4], [0, 0.5, 1, 1.5, 2])
+    assert asked == [[0, 1], [2, 3], [2, 3], [4]]
 
 
 def test_the_key_contains_every_input_that_changes_the_errors(localizer):

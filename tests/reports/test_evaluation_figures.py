@@ -34,12 +34,10 @@ def panels(figure):
     return [axes for axes in figure.axes if axes.axison]
 
 
-def test_violins_have_a_panel_for_each_object_and_a_colour_for_each_encoder(table, tmp_path):
+def test_violins_have_a_panel_for_each_object_and_a_colour_for_each_encoder(table):
     figure = draw_violins(table, "the title")
     assert [axes.get_title().split()[0] for axes in panels(figure)] == ["pin", "hook"]
     assert all("mm" in axes.get_title() for axes in panels(figure))
-    assert figure._suptitle.get_text() == "the title"
-    assert "ADD" in panels(figure)[0].get_ylabel()
     for axes in panels(figure):
         labels = [label.get_text() for label in axes.get_xticklabels()]
         assert labels == [line.capitalize() for line in DRAWN]
@@ -48,7 +46,6 @@ def test_violins_have_a_panel_for_each_object_and_a_colour_for_each_encoder(tabl
     words = " ".join(text.get_text() for text in legend.get_texts())
     for word in ("pixel", "other", "random", "closest"):
         assert word in words
-    assert save_figure(tmp_path / "violins.png", figure, dpi=40).stat().st_size > 1000
 
 
 def is_legend_inside(figure) -> bool:
@@ -77,13 +74,17 @@ def test_violins_mark_the_medians():
     assert all(low <= np.log10(m) <= high for m in medians)
 
 
-def test_a_violin_can_show_a_single_exact_touch(tmp_path):
+def test_errors_of_zero_are_drawn_on_the_floor_also_of_a_single_touch(tmp_path):
     zero = {f"{line} add_m": np.zeros(1) for line in LINES[:2]}  # an error of zero has no logarithm
     one = make_touch_table("pin", "pixel", 0).select([0])
     figure = draw_violins(ExampleTable.make({**one.columns, **zero}), "t")
     dots = [line for line in figure.axes[0].lines if line.get_marker() == "o"]
     assert dots[0].get_ydata()[0] == np.log10(FLOOR)
     assert save_figure(tmp_path / "one.png", figure, dpi=40).exists()
+    run = make_contact_table("pin", "pixel", 0)
+    run.errors_m("best-1", "add")[:] = 0.0
+    best = next(c for c in draw_contacts(run, "t").axes[0].lines if c.get_label().startswith("best-1"))
+    assert np.isfinite(np.log(best.get_ydata())).all()
 
 
 @pytest.mark.slow
@@ -104,7 +105,7 @@ def test_a_gallery_shows_the_best_the_median_and_the_worst_touch(localizer, tmp_
     assert save_figure(tmp_path / "gallery.png", figure, dpi=40).exists()
 
 
-def test_the_coverage_curve_shows_the_share_of_true_poses_in_each_set(tmp_path):
+def test_the_coverage_curve_shows_the_share_of_true_poses_in_each_set():
     run = make_touch_table("pin", "pixel", 0)
     figure = draw_reliability(run, "title")
     trusted, entropy = figure.axes
@@ -115,17 +116,9 @@ def test_the_coverage_curve_shows_the_share_of_true_poses_in_each_set(tmp_path):
     np.testing.assert_allclose(dots.get_xdata(), run["entropy_nats"])
     assert dots.get_ydata().max() == 1e3 * run.errors_m("reg-1", "add").max()
     assert all("(" in text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()))  # units
-    assert save_figure(tmp_path / "a.png", figure, dpi=40).exists()
 
 
-def test_many_runs_have_different_lines(tmp_path):
-    tables = [make_touch_table(f"part {i}", "pixel", i) for i in range(8)]
-    figure = draw_reliability(ExampleTable.join(tables), "title")
-    styles = {(line.get_color(), line.get_marker()) for line in figure.axes[1].lines}
-    assert len(styles) == 8
-
-
-def test_each_object_has_a_panel_with_medians_and_quartiles(tmp_path):
+def test_each_object_has_a_panel_with_medians_and_quartiles():
     runs = [make_contact_table(name, "pixel", i) for i, name in enumerate(("pin", "hook"))]
     figure = draw_contacts(ExampleTable.join(runs), "the title")
     assert [axes.get_title().split()[0] for axes in panels(figure)] == ["pin", "hook"]
@@ -142,7 +135,6 @@ def test_each_object_has_a_panel_with_medians_and_quartiles(tmp_path):
         assert "mm" in axes.get_title()
     assert "ADD" in panels(figure)[0].get_ylabel()
     assert figure._suptitle.get_text() == "the title"
-    assert save_figure(tmp_path / "a.png", figure, dpi=40).stat().st_size > 1000
 
 
 def test_encoders_have_different_lines_and_kinematic_is_drawn_once():
@@ -155,14 +147,6 @@ def test_encoders_have_different_lines_and_kinematic_is_drawn_once():
     words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
     for word in ("pixel", "other", "kinematic", "random"):
         assert word in words
-
-
-def test_errors_of_zero_are_drawn_on_the_floor():
-    run = make_contact_table("pin", "pixel", 0)
-    run.errors_m("best-1", "add")[:] = 0.0
-    (axes,) = panels(draw_contacts(run, "t"))
-    best = next(c for c in axes.lines if c.get_label().startswith("best-1"))
-    assert np.isfinite(np.log(best.get_ydata())).all()
 
 
 def test_the_figure_has_two_curves_for_each_number_of_touches_and_noise():

@@ -16,13 +16,14 @@ from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.evaluation.metrics import compute_nees, compute_surface_distances
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import SlidingTouches
 from tactile_loc.io.options import TrackerOptions
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.tracking.tracked_pose import TrackedPose, TrackTrust
 from tactile_loc.tracking.tracker import JUMPED_NATS, MOST_DOUBTS, MOST_WEIGHED, Motion, Tracker
+
+SlidingTouches = pytest.importorskip("tactile_loc_benchmark.sliding_touches").SlidingTouches
 
 STD = np.array([5e-4] * 3 + [1e-2] * 3)
 

@@ -162,33 +162,20 @@ class _ExampleLocator:
         except (GridError, TouchError) as error:
             return self._fail(LocatedFrame.of_error(error).word, str(error))
         seconds = time.perf_counter() - start
-        poses = _view_from_first(some, found)[: self._most]
+        listed = found.hypotheses[: self.localizer.config.top]
+        poses, k = _view_from_first(some, found)[: len(listed)], len(listed)
         errors_m = self._judge.measure_errors(poses, require_true_pose(some[0][1]))
-        listed = found.hypotheses[: self._most]
         determined = is_determined(some, listed, errors_m[:, METRICS.index("surface")])
-        p = np.array([hypothesis.probability for hypothesis in listed])
-        return self._record(poses, p, errors_m, found.verdict.value, "", determined, seconds)
+        located = self._fail(found.verdict.value, "")
+        located.T_sensor_object[:k], located.errors_m[:k] = poses, errors_m
+        located.probabilities[:k] = [hypothesis.probability for hypothesis in listed]
+        return located._replace(determined=determined, seconds=seconds)
 
     def _fail(self, verdict: str, problem: str) -> Located:
         """Return the result of an example without a pose. It counts as determined."""
-        none = np.empty((0, 4, 4)), np.empty(0), np.empty((0, len(METRICS)))
-        return self._record(*none, verdict, problem, True, np.nan)
-
-    def _record(
-        self, poses: Poses, probabilities: NDArray[np.float64], errors_m: NDArray[np.float64], *rest: Any
-    ) -> Located:
-        """Return a result with K listed poses, from k poses, their probabilities and errors, and the other fields."""
-        padded = (self._pad(poses, np.nan), self._pad(probabilities, np.nan), self._pad(errors_m, np.inf))
-        return Located(*padded, *rest)
-
-    def _pad(self, values: NDArray[np.float64], missing: float) -> NDArray[np.float64]:
-        """Return values (k, ...) with `missing` values up to the number of listed poses (K, ...)."""
-        rest = np.full((self._most - len(values), *values.shape[1:]), missing)
-        return np.concatenate([values, rest])
-
-    @property
-    def _most(self) -> int:
-        return self.localizer.config.top
+        most = self.localizer.config.top
+        missing = np.full((most, 4, 4), np.nan), np.full(most, np.nan), np.full((most, len(METRICS)), np.inf)
+        return Located(*missing, verdict, problem, True, np.nan)
 
     @cached_property
     def _judge(self) -> PoseJudge:

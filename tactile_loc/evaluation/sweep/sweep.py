@@ -135,25 +135,22 @@ def list_varied_columns(plan: Plan) -> list[str]:
 
 def make_rows(plan: Plan, combinations: Iterable[Combination], outcomes: Mapping[str, JobOutcome]) -> list[Row]:
     """Return a row with all columns for each combination, as JSON values; missing values are None."""
-    columns, varied = list_columns(plan), list_varied_columns(plan)
+    columns, varied = list_columns(plan), [column.split(".", 1) for column in list_varied_columns(plan)]
     rows = []
     for one in combinations:
-        outcome = outcomes[one.key]
-        known = {**_identify(one, varied), **(outcome.measured or {}), "error": outcome.error, "key": one.key}
-        known["built"] = json.dumps(list(outcome.built))
+        outcome, config = outcomes[one.key], one.config
+        slots = {slot: getattr(config, slot) for slot in SLOTS}
+        known = {
+            "object": one.object,
+            **{slot: chosen.name for slot, chosen in slots.items()},
+            "noise": config.touch.noise,
+            "seed": config.seed,
+            "count": one.count,
+            **{f"{slot}.{option}": slots[slot].options.get(option) for slot, option in varied},
+            **(outcome.measured or {}),
+            "error": outcome.error,
+            "key": one.key,
+            "built": json.dumps(list(outcome.built)),
+        }
         rows.append({column: known.get(column) for column in columns})
     return rows
-
-
-def _identify(one: Combination, varied: Sequence[str]) -> Row:
-    config = one.config
-    slots = {slot: getattr(config, slot) for slot in SLOTS}
-    parted = [(column, *column.split(".", 1)) for column in varied]
-    return {
-        "object": one.object,
-        **{slot: chosen.name for slot, chosen in slots.items()},
-        "noise": config.touch.noise,
-        "seed": config.seed,
-        "count": one.count,
-        **{column: slots[slot].options.get(option) for column, slot, option in parted},
-    }

@@ -10,7 +10,7 @@ import pytest
 
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.runtime.errors import ConfigError, NoContactError
+from tactile_loc.core.runtime.errors import NoContactError
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
 from tactile_loc.evaluation.recall import evaluation as module
 from tactile_loc.evaluation.recall.evaluation import evaluate_recall, make_recall_key
@@ -74,30 +74,6 @@ def test_a_wrong_pose_that_explains_the_touches_as_well_makes_them_undetermined(
         assert (errors_m[:, METRICS.index("surface")] > RIGHT_M).any()
 
 
-@pytest.mark.slow
-def test_an_interrupted_evaluation_resumes_with_the_same_results(hook, examples, found, tmp_path, monkeypatch):
-    fresh = Localizer.create("hook", store=StageStore(tmp_path), **SETTINGS)
-    again = dataclasses.replace(examples, localizer=fresh)
-    monkeypatch.setattr(module, "SHARD", 2)
-    located = module._ExampleLocator._locate
-    calls = []
-
-    def locate(self, example, n):
-        if len(calls) == 5:
-            raise KeyboardInterrupt
-        calls.append(n)
-        return located(self, example, n)
-
-    monkeypatch.setattr(module._ExampleLocator, "_locate", locate)
-    with pytest.raises(KeyboardInterrupt):
-        evaluate_recall(fresh, again, (1, 2))
-    calls.clear()
-    result = evaluate_recall(fresh, again, (1, 2))
-    assert len(calls) == 2  # of the third example; the first two were kept
-    for name in METRICS:
-        assert np.array_equal(result.errors_m("first", name), found.errors_m("first", name))
-
-
 @dataclasses.dataclass(frozen=True)
 class Troubled:
     """Three examples: one complete, one whose second touch cannot be read, one with a single touch."""
@@ -152,9 +128,3 @@ def test_the_key_depends_on_settings_examples_and_numbers(hook, examples, store)
         make_recall_key(Localizer.create("hook", store=store, **{**SETTINGS, "top": 4}), examples, (1, 2)),
     ]
     assert len({key.digest for key in keys}) == len(keys)
-
-
-@pytest.mark.parametrize("together", [(), (0, 1), (21,)])
-def test_impossible_numbers_of_touches_are_refused(hook, examples, together):
-    with pytest.raises(ConfigError):
-        evaluate_recall(hook, examples, together)

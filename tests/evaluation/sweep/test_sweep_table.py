@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import sys
 
@@ -12,7 +11,7 @@ from message_helpers import naming
 from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, list_columns
-from tactile_loc.evaluation.text_tables import format_csv, require_parquet, write_parquet
+from tactile_loc.evaluation.text_tables import require_parquet, write_parquet
 from tactile_loc.slots.registry import SLOTS
 
 VALUES = {
@@ -59,22 +58,6 @@ def test_rows_follow_the_order_of_the_plan_and_omit_inapplicable_values(rows):
     failed = [row for row in rows if row["error"]]
     assert {(row["object"], row["refiner"]) for row in failed} == {("head", "none")}
     assert all(row["chosen_median_mm"] is None and row["key"] for row in failed)
-
-
-def test_csv_holds_all_digits_and_leaves_missing_values_empty(rows, tmp_path):
-    path = tmp_path / "sweep.csv"
-    path.write_text(format_csv(rows), encoding="utf-8")
-    with path.open(encoding="utf-8", newline="") as file:
-        read = list(csv.DictReader(file))
-    assert len(read) == len(rows)
-    for texts, row in zip(read, rows, strict=True):
-        for name, text in texts.items():
-            value = row[name]
-            if value is None or isinstance(value, str):
-                assert text == (value or "")
-            else:
-                assert json.loads(text) == value
-                assert isinstance(json.loads(text), type(value))
 
 
 def test_parquet_is_read_back_with_its_types(rows, tmp_path):

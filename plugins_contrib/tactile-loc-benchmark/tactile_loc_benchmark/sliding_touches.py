@@ -1,6 +1,6 @@
 """Sequences of touches: a sensor that slides and rotates over an object at rest, at its camera's rate.
 
-The first pose is random, as in `robot_touches`. From there, the sensor moves with smoothly changing speeds and a
+The first pose is random, as in `RobotTouches`. From there, the sensor moves with smoothly changing speeds and a
 smoothly changing press. It reverses before it loses contact or hits a wall.
 """
 
@@ -14,13 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.core.sensing.contact import bring_to_contact
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches, move_about_gel
-from tactile_loc.simulate.touch_simulation import lower
+from tactile_loc import RobotTouches
+from tactile_loc.plugin import Poses, Scene, Touch, TouchError, invert
 
 WAVES = 3  # sine waves whose sum is a smoothly changing number
 SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # frequencies of the waves
@@ -157,9 +152,9 @@ class SlidingTouches:
 
         The object slides by step[:2], metres, and rotates by step[2:], radians, about the gel's middle.
         """
-        geometry = self.source.geometry
-        moved = move_about_gel(geometry, step[2:], np.array([*step[:2], 0.0])) @ T
-        poses, touching = bring_to_contact(self.source.object.mesh, moved[None], geometry)
+        moved = self.source.move_about_gel(step[2:], np.array([*step[:2], 0.0])) @ T
+        scene = Scene(self.source.object, self.source.geometry, self.source.renderer)
+        poses, touching = scene.bring_to_contact(moved[None])
         return poses[0], bool(touching[0])
 
     def _draw_touch(self, T: Poses, press_m: float, gel: int) -> Touch | TouchError | None:
@@ -186,7 +181,9 @@ def _draw_direction(dimensions: int, rng: np.random.Generator) -> Floats:
 
 
 def _press(T: Poses, press_m: float) -> Poses:
-    return lower(T[None], np.array([press_m]))[0]
+    pressed = T.copy()
+    pressed[2, 3] -= press_m
+    return pressed
 
 
 def draw_smooth(count: int, dt_s: float, columns: int, rng: np.random.Generator) -> Floats:

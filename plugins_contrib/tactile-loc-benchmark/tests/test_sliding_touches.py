@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from tactile_loc.core.geometry.rigid import invert, rotation_angle
 from tactile_loc.core.sensing.contact import find_lowest_points
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.sequences import MOST_RISE_M, SlidingTouches, Slip, draw_correlated, draw_smooth
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+
+from tactile_loc_benchmark.sliding_touches import MOST_RISE_M, SlidingTouches, Slip, draw_correlated, draw_smooth
 
 GEOMETRY = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)
 COUNT, JUMP = 60, 40
