@@ -179,15 +179,10 @@ def build_document(schema_version: int, **values: Any) -> dict[str, Any]:
     return {"schema_version": schema_version, "created": created, "versions": read_versions(), **values}
 
 
-def write_texts(folder: Path, name: str, json: Mapping[str, Any], **texts: str) -> list[Path]:
+def write_texts(folder: Path, name: str, document: Mapping[str, Any], **texts: str) -> list[Path]:
     """Write the file `name`.json and each text as `name`.KEYWORD in `folder`; return the paths. Raises OutputError."""
-    every = {"json": format_json(json), **texts}
+    every = {"json": f"{json.dumps(document, indent=1)}\n", **texts}
     return [write_text(folder / f"{name}.{suffix}", text) for suffix, text in every.items()]
-
-
-def format_json(document: Mapping[str, Any]) -> str:
-    """Return a document as indented JSON text."""
-    return json.dumps(document, indent=1) + "\n"
 
 
 def _format_value(value: Any) -> Any:

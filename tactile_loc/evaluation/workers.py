@@ -98,7 +98,9 @@ class LocalWorkers:
                     if outcome is None:
                         deaths[job.key] += 1
                         worker.process.join(GRACE_S)
-                        self._write_log(f"the worker of the job {job.key} died ({_name_end(worker.end())})\n")
+                        code = worker.end()
+                        how = f"signal {-code}" if code < 0 else f"exit code {code}"
+                        self._write_log(f"the worker of the job {job.key} died ({how})\n")
                         del pool[worker.connection]
                         if deaths[job.key] < MOST_DEATHS:
                             waiting.appendleft(job)
@@ -165,10 +167,6 @@ class _LocalWorker:
         self.process.join()
         self.connection.close()
         return int(self.process.exitcode or 0)
-
-
-def _name_end(exit_code: int) -> str:
-    return f"signal {-exit_code}" if exit_code < 0 else f"exit code {exit_code}"
 
 
 def _do_jobs(connection: Connection, log_file: str) -> None:

@@ -63,7 +63,7 @@ def spread_over_surface(
     nearest to the sensor's centre. The weight is then spread over nearby vertices, in proportion to their areas and to
     a Gaussian of `spread_m` metres. The back of a wall gets no weight from its front.
     """
-    fine = split_long_edges(mesh, choose_edge_m(mesh))
+    fine = split_long_edges(mesh, float(np.sqrt(mesh.face_areas.sum() / PATCHES)))  # for a smooth picture
     touched = find_touched_vertices(fine, T_sensor_object, geometry)
     mass = np.bincount(touched, weights, len(fine.vertices_m)).astype(float)
     area = compute_vertex_areas(fine)
@@ -84,11 +84,6 @@ def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) ->
             near, share = np.array([source]), np.ones(1)
         found[near] += mass[source] * share / share.sum()
     return found
-
-
-def choose_edge_m(mesh: TriangleMesh) -> float:
-    """Return the longest edge, in metres, that gives a smooth picture of a mesh's surface."""
-    return float(np.sqrt(mesh.face_areas.sum() / PATCHES))
 
 
 def split_long_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:

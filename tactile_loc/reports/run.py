@@ -161,6 +161,11 @@ def _describe_contact(found: Localization) -> dict[str, Any]:
     words = (f"\N{MINUS SIGN}{apart} or less", "pressed in less … more than the touch (mm)", f"+{apart} or more")
     poses = np.array([h.T_sensor_object for h in found.hypotheses])
     drawn = [_draw_made(view, poses) for view in found.make_views()]  # for each touch, one for each candidate
+    cards = []
+    for k, (h, error_m) in enumerate(_pair_errors(found)):
+        error = "" if error_m is None else f", error {format_millimetres(error_m)}"
+        text = f"{format_percent(h.probability)}, IoU {100 * h.imprint_iou:.0f} %{error}"
+        cards.append((k + 1, text, [of_touch[k] for of_touch in drawn]))
     return {
         "touches": [_describe_touch(found, number) for number in range(len(found.touches))],
         "depths": (
@@ -168,10 +173,7 @@ def _describe_contact(found: Localization) -> dict[str, Any]:
             ("0", "depth from full penetration (mm)", f"{press_mm:.2f}"),
         ),
         "differences": (pictures.write_gradient(pictures.DIFFERENCES), words),
-        "cards": [
-            (rank, _write_card(h, error_m), [of_touch[rank - 1] for of_touch in drawn])
-            for rank, (h, error_m) in enumerate(_pair_errors(found), 1)
-        ],
+        "cards": cards,
     }
 
 
@@ -187,11 +189,6 @@ def _describe_touch(found: Localization, number: int) -> dict[str, Any]:
         "picture": pictures.draw_shape(touch.contact_shape, touch.geometry),
         "photo": None if touch.image is None else pictures.encode_photo(touch.image),
     }
-
-
-def _write_card(h: Hypothesis, error_m: float | None) -> str:
-    error = "" if error_m is None else f", error {format_millimetres(error_m)}"
-    return f"{format_percent(h.probability)}, IoU {100 * h.imprint_iou:.0f} %{error}"
 
 
 def _draw_made(view: View, T_first_object: Poses) -> list[tuple[str, str]]:

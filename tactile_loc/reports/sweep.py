@@ -46,13 +46,16 @@ def make_sweep_page(path: Path) -> Page:
     factors = find_varying(rows) or [factor for factor in SHOWN_FACTORS if factor in rows[0]]
     kinds = find_components(rows) if lines else []
     times = {column: name for column, name in TIMES.items() if column in rows[0]}
+    by = find_varying(rows) or ["object"]
+    choices = {"times": times, "factors": by, "first": "refiner" if "refiner" in by else by[0]}
+    failures = {"factors": factors, "rows": [[*(row[f] or "" for f in factors), row["error"]] for row in failed]}
     summary = {"numbers": list(_list_numbers(rows, len(failed), lines)), "count": len(good), "lines": lines}
     sections = [
         Section("summary", "", summary),
-        *([Section("time", "Error against time", _describe_times(rows, times))] if lines and times else []),
+        *([Section("time", "Error against time", choices)] if lines and times else []),
         *([Section("effects", "Effect of each component", {"factors": kinds})] if kinds else []),
         Section("rows", "Combinations", _tabulate_rows(good, factors, lines)),
-        *([Section("failed", "Failed combinations", _tabulate_failed(failed, factors))] if failed else []),
+        *([Section("failed", "Failed combinations", failures)] if failed else []),
         Section("made", "Settings", _describe_settings(document, rows)),
     ]
     others = [column for column in dict.fromkeys([*TIMES, *OTHERS]) if column in rows[0]]
@@ -130,11 +133,6 @@ def _list_numbers(rows: Sequence[Row], failed: int, lines: Sequence[str]) -> Ite
             yield f"best of {name}", f"{best[column]:.3g} mm", f"median of {lines[0]}: {made}"
 
 
-def _describe_times(rows: Sequence[Row], times: Mapping[str, str]) -> dict[str, Any]:
-    factors = find_varying(rows) or ["object"]
-    return {"times": times, "factors": factors, "first": "refiner" if "refiner" in factors else factors[0]}
-
-
 def _tabulate_rows(rows: Sequence[Row], factors: Sequence[str], lines: Sequence[str]) -> dict[str, Any]:
     """Return the headings and rows of a table.
 
@@ -165,21 +163,14 @@ def _write_heading(column: str) -> str:
     return name.replace("_", " ")
 
 
-def _tabulate_failed(rows: Sequence[Row], factors: Sequence[str]) -> dict[str, Any]:
-    return {"factors": list(factors), "rows": [[*(row[f] or "" for f in factors), row["error"]] for row in rows]}
-
-
 def _describe_settings(document: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     factors, first = find_varying(rows), rows[0]
-    built, plan, versions = (_find_mapping(document, key) for key in ("built", "plan", "versions"))
+    built, plan, versions = (
+        found if isinstance(found := document.get(key), Mapping) else {} for key in ("built", "plan", "versions")
+    )
     return {
         "same": [(c, str(first[c])) for c in first if is_factor(c) and c not in factors and first[c] is not None],
         "built": [(stage, count) for stage, count in built.items() if isinstance(count, int)],
         "plan": format_toml(plan),
         "versions": list(versions.items()),
     }
-
-
-def _find_mapping(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    found = document.get(key)
-    return found if isinstance(found, Mapping) else {}

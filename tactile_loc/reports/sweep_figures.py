@@ -206,7 +206,7 @@ def _draw_points(
         )
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(lambda value, _: f"{value:g}")
-        axis.set_minor_formatter(lambda value, _: f"{value:g}" if _find_leading_digit(value) in (2, 5) else "")
+        axis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
         axis.set_tick_params(which="both", labelsize=9)
     axes.set_axisbelow(True)
     axes.grid(which="both", color="#edf2f7", lw=0.8)
@@ -264,10 +264,6 @@ def _scale_ratios(axes: Axes, values: NDArray[np.float64]) -> None:
     shown = sorted({1 / t for t in up} | set(up))
     axes.set_xticks(np.log(shown), [f"{r:.3g}" if r >= 1 else f"{r:.2g}" for r in shown], size=9)
     axes.set_xlim(-reach, reach)
-
-
-def _find_leading_digit(value: float) -> int:
-    return int(f"{value:e}"[0])
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.formatting import format_millimetres
-from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.view.drawn_scene import EDGE, GEL, HOUSING, STEEL, TRUTH, DrawnScene, DrawnSensor, move_triangles
 from tactile_loc.view.pictures import draw_contact_shape, draw_outline, make_figure
@@ -67,19 +66,15 @@ def _draw_side(panel: SubFigure, found: Localization, of: str) -> None:
     first = 0.5 - 0.5 * width * len(shown)
     for number, touch in enumerate(shown):
         axes = panel.add_axes((first + number * width + 0.01, 0.83 - height, width - 0.02, height - 0.02))
-        _draw_shape(axes, touch, name_touch(number))
+        draw_contact_shape(axes, touch.contact_shape, touch.geometry)
+        draw_outline(axes, touch)
+        axes.set(xticks=[], yticks=[])
+        axes.set_xlabel(name_touch(number), size=9, labelpad=3)
 
 
 def name_touch(number: int) -> str:
     """Return the label of a touch, which counts from 0."""
     return f"touch {number + 1}"
-
-
-def _draw_shape(axes: Axes, touch: Touch, name: str) -> None:
-    draw_contact_shape(axes, touch.contact_shape, touch.geometry)
-    draw_outline(axes, touch)
-    axes.set(xticks=[], yticks=[])
-    axes.set_xlabel(name, size=9, labelpad=3)
 
 
 def _draw_image(panel: SubFigure, view: _SharedView, image: Image) -> Axes:

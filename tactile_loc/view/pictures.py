@@ -222,7 +222,9 @@ def _draw_candidates(
         draw_contact_shape(axes, shape, touch.geometry)
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
-        axes.set_title(_write_caption(i, hypothesis.probability, hypothesis.imprint_iou, errors_m), size=8.5, pad=4)
+        error = "" if errors_m is None else f",  {format_millimetres(errors_m[i])} off"
+        fit = f"{format_percent(hypothesis.probability)},  IoU {100 * hypothesis.imprint_iou:.0f} %"
+        axes.set_title(f"{i + 1}:  {fit}{error}", size=8.5, pad=4)
     first = f" of {_shorten(touch.name)}" if localization.others else ""
     _write_heading(
         panel, f"best explanations{first}: probability, imprint IoU" if columns == 2 else f"best poses{first}"
@@ -232,11 +234,6 @@ def _draw_candidates(
 
 def _write_heading(panel: SubFigure, text: str) -> None:
     panel.text(0.5, 0.893, text, size=11, ha="center", va="bottom")
-
-
-def _write_caption(i: int, probability: float, imprint_iou: float, errors_m: Errors) -> str:
-    text = f"{i + 1}:  {format_percent(probability)},  IoU {100 * imprint_iou:.0f} %"
-    return text if errors_m is None else f"{text},  {format_millimetres(errors_m[i])} off"
 
 
 def _draw_scene(panel: SubFigure, localization: Localization) -> None:

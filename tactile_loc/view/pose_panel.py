@@ -40,7 +40,8 @@ def draw_pose(axes: Axes, scene: DrawnScene) -> None:
     if truth is not None:
         canvas.draw_edges(image, truth, TRUTH, 0.95)
     axes.imshow(shrink(image, SUPERSAMPLE), extent=bounds, interpolation="antialiased", zorder=1)
-    height_mm = _measure_height_mm(sensor.geometry, estimate, truth)
+    top_mm = max(float(s[..., 2].max()) for s in (estimate, truth) if s is not None)
+    height_mm = max(top_mm - 1e3 * sensor.geometry.surface_m, 5.0)
     _draw_axes(axes, view, sensor.geometry, height_mm, _Picture(seen, bounds))
     axes.set(xlim=bounds[:2], ylim=bounds[2:], aspect="equal")
     axes.set_axis_off()
@@ -111,11 +112,6 @@ def paint(image: NDArray[np.float32], where: NDArray[np.bool_], colour: str, opa
 
     image[where, :3] = (1 - opacity) * image[where, :3] + opacity * np.array(to_rgb(colour))
     image[where, 3] = np.maximum(image[where, 3], opacity)
-
-
-def _measure_height_mm(geometry: SensorGeometry, *surfaces: Array | None) -> float:
-    top = max(float(s[..., 2].max()) for s in surfaces if s is not None)
-    return max(top - 1e3 * geometry.surface_m, 5.0)
 
 
 @dataclass(frozen=True, eq=False)

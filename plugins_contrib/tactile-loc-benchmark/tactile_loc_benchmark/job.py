@@ -76,17 +76,15 @@ class LocatingJob:
         start_s = time.perf_counter()
         method.prepare(problem)
         prepared_s = time.perf_counter() - start_s
+        recorded = isinstance(drawer.source, RecordedSource)
+        counts = [1] if recorded else sorted(set(self.suite.touches))  # recorded touches are located alone
         rows: list[Row] = []
         for number in range(len(examples)):
             touches, T_base_object = examples.make_touches(number, drawer.sensor), examples.T_base_object[number]
-            for n in self._list_counts(drawer):
+            for n in counts:
                 about = {"example": number, "touches": n, "refused": int(examples.refused[number])}
                 rows.append({**about, **_locate(method, problem, touches, n, judge, T_base_object)})
         return {"rows": rows, "prepared_s": round(prepared_s, 3), "diameter_m": judge.poses.diameter_m}
-
-    def _list_counts(self, drawer: ExampleDrawer) -> list[int]:
-        """Return the numbers of touches; recorded touches are located alone."""
-        return [1] if isinstance(drawer.source, RecordedSource) else sorted(set(self.suite.touches))
 
 
 def describe_code(source: SuiteEntry, method: SuiteEntry) -> dict[str, str]:

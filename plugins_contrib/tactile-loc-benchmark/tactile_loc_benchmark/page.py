@@ -35,6 +35,7 @@ BEYOND_MM, DIGITS = 1e6, 4  # the error of an example without a pose; digits of 
 def make_benchmark_page(results: Results, pictures: Sequence[Mapping[str, Any]]) -> Page:
     """Return the page of a benchmark with rows. `pictures` is the result of `show_sources`."""
     groups, tables = results.groups, group_examples(results.rows).values()
+    suite = results.suite.model_dump(mode="json", exclude_none=True)
     sections = [
         Section("summary", "", {"numbers": list(_list_numbers(results)), **_list_choices(groups)}),
         Section("success", "Success"),
@@ -45,7 +46,7 @@ def make_benchmark_page(results: Results, pictures: Sequence[Mapping[str, Any]])
         Section("sources", "Sources", {"rows": tabulate_sources(results), "examples": pictures}),
         Section("methods", "Methods", {"rows": tabulate_methods(results)}),
         *([Section("failures", "Failures", {"rows": tabulate_failures(results)})] if results.failed else []),
-        Section("made", "Settings", {"suite": _format_suite(results), "versions": list(results.versions.items())}),
+        Section("made", "Settings", {"suite": json.dumps(suite, indent=1), "versions": list(results.versions.items())}),
     ]
     data = {
         "groups": [_collect_group(group, of) for group, of in zip(groups, tables, strict=True)],
@@ -85,17 +86,16 @@ def _collect_group(group: Row, table: ExampleTable) -> dict[str, Any]:
         "within": [100 * share for share in group["within"]],
         "ranges": [[100 * low, 100 * high] for low, high in group["within_range"]],
         "seconds": group["median_s"],
-        "errors_mm": {line: _sort_errors_mm(table.errors_m(line)) for line in ("first", "listed")},
+        "errors_mm": {
+            line: [float(f"{min(1e3 * error, BEYOND_MM):.{DIGITS}g}") for error in np.sort(table.errors_m(line))]
+            for line in ("first", "listed")
+        },
         "bins": [
             {"stated": 100 * one.stated, "right": 100 * one.right, "examples": one.examples}
             for one in ExampleSummary.of(table).bins
             if one.stated is not None and one.right is not None
         ],
     }
-
-
-def _sort_errors_mm(errors_m: NDArray[np.float64]) -> list[float]:
-    return [float(f"{min(1e3 * error, BEYOND_MM):.{DIGITS}g}") for error in np.sort(errors_m)]
 
 
 def show_sources(found: Benchmark, store: StageStore) -> Iterator[Mapping[str, Any]]:
@@ -130,7 +130,3 @@ def _encode_picture(picture: NDArray[np.uint8]) -> str:
     png = io.BytesIO()
     PIL.Image.fromarray(picture).save(png, "PNG")
     return f"data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}"
-
-
-def _format_suite(results: Results) -> str:
-    return json.dumps(results.suite.model_dump(mode="json", exclude_none=True), indent=1)

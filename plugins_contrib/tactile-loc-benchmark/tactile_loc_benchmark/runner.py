@@ -103,9 +103,10 @@ def run_benchmark(suite: Suite, out: Path, store: Path, workers: Any, progress: 
         left_out = find_problems([*(source.used for source in sources), *(method.used for method in methods)])
         problems = "; ".join(f"{label}: {why}" for label, why in left_out.items())
         raise ConfigError(f"the suite {suite.name!r} has no source and method that can be used: {problems}")
+    order = [method.entry.label for method in methods]  # so neighbours seldom need the same touches or models
     queue = [
         QueuedJob(cell.job, cell.source.objects[cell.object], cell.name, cell.names)
-        for cell in _order_for_running(cells)
+        for cell in sorted(cells, key=lambda cell: order.index(cell.method.entry.label))
     ]
     outcomes, done = resume_jobs("benchmark", queue, out, workers, progress)
     ended = []
@@ -158,9 +159,3 @@ def _make_key(
             "object": {"name": obj.name, **obj.describe()},
         }
     )
-
-
-def _order_for_running(cells: Sequence[Cell]) -> list[Cell]:
-    """Return the cells in an order in which neighbours seldom need the same touches or models."""
-    order = {label: number for number, label in enumerate(dict.fromkeys(cell.names["method"] for cell in cells))}
-    return sorted(cells, key=lambda cell: order[cell.names["method"]])

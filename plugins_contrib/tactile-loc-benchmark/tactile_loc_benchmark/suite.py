@@ -125,7 +125,8 @@ class Suite(BaseModel):
 def list_suites() -> list[str]:
     """Return the names of the suites that come with tactile-loc."""
     folder = files(__package__) / SUITES
-    return sorted(file.name.removesuffix(".toml") for file in folder.iterdir() if _is_suite(file.name))
+    names = [file.name for file in folder.iterdir() if file.name.endswith(".toml") and file.name != SPLITS]
+    return sorted(name.removesuffix(".toml") for name in names)
 
 
 def read_split(name: str) -> list[Any]:
@@ -134,10 +135,6 @@ def read_split(name: str) -> list[Any]:
     if name not in splits:
         raise ConfigError(f"there is no split {name!r}.{did_you_mean(name, splits)} Known: {', '.join(splits)}")
     return list(splits[name])
-
-
-def _is_suite(name: str) -> bool:
-    return name.endswith(".toml") and name != SPLITS
 
 
 def _find_suite(suite: str | Path) -> Path:

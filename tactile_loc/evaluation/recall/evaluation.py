@@ -136,7 +136,8 @@ class _ExampleLocator:
                     advance(1)
                 rows.append(row)
         columns = [np.array([[getattr(one, name) for one in row] for row in rows]) for name in Located._fields]
-        truths = np.array([_find_truth(example) for example in drawn])
+        firsts = [example.observations[:1] for example in drawn]  # none if this touch cannot be read
+        truths = np.array([require_true_pose(one[0][1]) if one else np.full((4, 4), np.nan) for one in firsts])
         return [*columns, truths, np.array([example.refused for example in drawn])]
 
     @cached_property
@@ -211,8 +212,3 @@ def _view_from_first(observations: Sequence[Observation], found: Localization) -
     if used is first:
         return poses
     return invert(np.asarray(first.T_base_sensor)) @ np.asarray(used.T_base_sensor) @ poses
-
-
-def _find_truth(example: TouchedExample) -> Poses:
-    """Return the true pose (4, 4), metres, in the frame of the first sensor; NaN if this touch cannot be read."""
-    return require_true_pose(example.observations[0][1]) if example.observations else np.full((4, 4), np.nan)

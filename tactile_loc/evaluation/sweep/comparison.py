@@ -55,7 +55,10 @@ def compare(old: Mapping[str, Any], new: Mapping[str, Any], line: str) -> SweepC
         ratio = None if old_mm is None or new_mm is None or old_mm == 0 else new_mm / old_mm
         change = ONLY_NEW if key not in olds else ONLY_OLD if key not in news else _name_change(old_mm, new_mm)
         rows.append({**names[key], "old_mm": old_mm, "new_mm": new_mm, "ratio": ratio, "change": change})
-    return SweepComparison(line, rows, _find_differing(old["versions"], new["versions"]))
+    before, after = old["versions"], new["versions"]
+    differing = [name for name in {**before, **after} if before.get(name) != after.get(name)]
+    versions = {name: (before.get(name, "-"), after.get(name, "-")) for name in differing}
+    return SweepComparison(line, rows, versions)
 
 
 def summarise(comparison: SweepComparison) -> str:
@@ -148,7 +151,3 @@ def _name_change(old_mm: float | None, new_mm: float | None) -> str:
     if old_mm is None or new_mm is None:
         return FAILED
     return WORSE if new_mm > CHANGED * old_mm else BETTER if CHANGED * new_mm < old_mm else ""
-
-
-def _find_differing(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    return {name: (old.get(name, "-"), new.get(name, "-")) for name in {**old, **new} if old.get(name) != new.get(name)}

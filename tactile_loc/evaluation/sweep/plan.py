@@ -73,15 +73,20 @@ class Plan:
                 near = did_you_mean(key, KEYS)
                 raise ConfigError(f"{source} has an unknown entry {key!r}.{near} Known: {', '.join(KEYS)}")
         options = read_options(values.get("option", []), source)
+        noises = list(map(str, list_values(values.get("noise", DEFAULT_NOISE), "noise", source)))
+        for noise in noises:
+            make_noise(noise)  # raises ConfigError for an unknown noise
+        counts = read_whole_numbers(values.get("count", DEFAULT_COUNT), "count", source, least=1)
+        if len(counts) > 1:
+            raise ConfigError(f"{source} has several values for 'count'; give one for all combinations")
+        config = RunConfig.from_dict({key: values[key] for key in SETTINGS if key in values}, source)
         return cls(
             objects=_read_objects(list_values(values.get("object", list(DEMO_OBJECTS)), "object", source), source),
             slots={slot: _read_choices(slot, values, options.get(slot, {}), source) for slot in SLOTS},
-            noises=_read_noises(list_values(values.get("noise", DEFAULT_NOISE), "noise", source)),
+            noises=tuple(dict.fromkeys(noises)),
             seeds=read_whole_numbers(values.get("seed", 0), "seed", source, least=0),
-            count=_require_one(
-                read_whole_numbers(values.get("count", DEFAULT_COUNT), "count", source, least=1), source
-            ),
-            settings=_read_settings(values, source),
+            count=counts[0],
+            settings={key: getattr(config, key) for key in SETTINGS},
         )
 
     def describe(self) -> dict[str, Any]:
@@ -135,24 +140,6 @@ def _resolve_sensor(chosen: SlotConfig) -> SlotConfig:
         absolute = str(Path(path).expanduser().absolute())
         chosen = SlotConfig(name=chosen.name, options={**chosen.options, "path": absolute})
     return chosen
-
-
-def _read_noises(values: Sequence[Any]) -> tuple[str, ...]:
-    for value in values:
-        make_noise(str(value))
-    return tuple(dict.fromkeys(map(str, values)))
-
-
-def _require_one(values: tuple[int, ...], source: str) -> int:
-    if len(values) > 1:
-        raise ConfigError(f"{source} has several values for 'count'; give one for all combinations")
-    return values[0]
-
-
-def _read_settings(values: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Return the validated SETTINGS."""
-    config = RunConfig.from_dict({key: values[key] for key in SETTINGS if key in values}, source)
-    return {key: getattr(config, key) for key in SETTINGS}
 
 
 def expand(slot: str, named: Sequence[SlotConfig], options: Mapping[str, Sequence[Any]]) -> tuple[SlotConfig, ...]:
@@ -255,7 +242,8 @@ def read_whole_numbers(value: Any, key: str, source: str, least: int) -> tuple[i
     for entry in list_values(value, key, source):
         if not _is_number(entry) or int(entry) < least:
             shown = entry if _is_number(entry) else quote(entry)
-            raise ConfigError(f"{_name_key(key, source)} cannot be {shown}; give a whole number, {least} or more")
+            name = f"`{key}`" if source == COMMAND_LINE else f"{source}: {key}"
+            raise ConfigError(f"{name} cannot be {shown}; give a whole number, {least} or more")
         found.append(int(entry))
     return tuple(dict.fromkeys(found))
 
@@ -265,10 +253,6 @@ def _is_number(entry: Any) -> bool:
     if isinstance(entry, str):
         return entry.strip().removeprefix("-").isdecimal()
     return isinstance(entry, int) and not isinstance(entry, bool)
-
-
-def _name_key(key: str, source: str) -> str:
-    return f"`{key}`" if source == COMMAND_LINE else f"{source}: {key}"
 
 
 def read_options(given: Any, source: str) -> Options:
