@@ -216,18 +216,14 @@ def guard_reading(path: Path) -> Iterator[None]:
     """Convert the errors of the block, which reads a damaged file, to a TouchError that names the file."""
     try:
         yield
+    except TooLargeError as error:
+        raise TouchError(f"{path} cannot be read: {error}") from error
     except UNREADABLE as error:
-        raise TouchError(explain_unreadable(path, error)) from error
-
-
-def explain_unreadable(path: Path, error: BaseException) -> str:
-    """Return the error message for a file that could not be read."""
-    if "allow_pickle" in str(error):
-        return f"{path} holds Python objects, which are never loaded; save plain numbers (H, W)"
-    if isinstance(error, TooLargeError):
-        return f"{path} cannot be read: {error}"
-    kind = path.suffix.lower()[1:]
-    return f"{path} cannot be read as {kind} ({summarize(error)}); it is damaged or of another kind, so save it again"
+        says = f"{path} cannot be read as {path.suffix.lower()[1:]} ({summarize(error)}); it is damaged or of another "
+        says += "kind, so save it again"
+        if "allow_pickle" in str(error):
+            says = f"{path} holds Python objects, which are never loaded; save plain numbers (H, W)"
+        raise TouchError(says) from error
 
 
 def summarize(error: BaseException) -> str:

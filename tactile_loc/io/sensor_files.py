@@ -6,6 +6,8 @@ docs/files.md lists the keys of a sensor file. examples/my_sensor.toml is an exa
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.bases.depth_sensor import GelOptions
 from tactile_loc.core.runtime.errors import ConfigError, SensorError
-from tactile_loc.core.sensing.gel import RIGID, Gel, GelKind
+from tactile_loc.core.sensing.gel import RIGID, GelKind
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 from tactile_loc.io.images import UNREADABLE, load_image, write_image
 from tactile_loc.io.toml import POSITIVE_MM, Finite, Positive, format_toml, name_errors, read_toml
@@ -112,15 +114,8 @@ def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeome
         rectangle_m=None if rectangle is None else (x0, x1, y0, y1),
         observed=None if keys.mask is None else _read_mask(folder / keys.mask),
         relief_m=None if keys.surface is None else _read_surface(folder / keys.surface),
-        gel=_build_gel(keys),
+        gel=GelOptions(**keys.model_dump(include=set(GelOptions.model_fields))).make_gel(RIGID),
     )
-
-
-def _build_gel(keys: _SensorFile) -> Gel:
-    options = GelOptions(
-        gel=keys.gel, gel_thickness_mm=keys.gel_thickness_mm, poisson=keys.poisson, gel_coating_mm=keys.gel_coating_mm
-    )
-    return options.make_gel(RIGID)
 
 
 def _check_view(geometry: SensorGeometry) -> SensorGeometry:
@@ -137,30 +132,27 @@ def _check_view(geometry: SensorGeometry) -> SensorGeometry:
 
 def _read_mask(path: Path) -> NDArray[np.bool_]:
     """Read the mask (H, W) of observed pixels from a PNG. Pixels that are at least half white are observed."""
-    try:
+    with _guard(f"the mask {path} cannot be read as an image", "give a PNG, white at observed pixels"):
         return load_image(path, "L")[1] >= 128
-    except UNREADABLE as error:
-        raise SensorError(
-            f"the mask {path} cannot be read as an image ({error}); give a PNG, white at observed pixels, by its path "
-            "relative to the sensor file"
-        ) from error
 
 
 def _read_surface(path: Path) -> Depth:
     """Read the undeformed gel's relief (H, W), metres, from a .npy file."""
-    try:
+    needed = "an array (rows, columns) of floats in metres"
+    with _guard(f"the surface {path} cannot be read as .npy", f"give {needed}"):
         surface = load_npy(path)
-    except UNREADABLE as error:
-        raise SensorError(
-            f"the surface {path} cannot be read as .npy ({error}); give an array (rows, columns) in metres, by its "
-            "path relative to the sensor file"
-        ) from error
     if surface.ndim != 2 or surface.dtype.kind != "f":
-        raise SensorError(
-            f"the surface {path} has shape {surface.shape} and type {surface.dtype}; it must be an array (rows, "
-            "columns) of floats in metres"
-        )
+        raise SensorError(f"the surface {path} has shape {surface.shape} and type {surface.dtype}; it must be {needed}")
     return surface.astype(np.float32)
+
+
+@contextmanager
+def _guard(problem: str, advice: str) -> Iterator[None]:
+    """Convert the errors of reading a file that a sensor file names to a SensorError."""
+    try:
+        yield
+    except UNREADABLE as error:
+        raise SensorError(f"{problem} ({error}); {advice}, by its path relative to the sensor file") from error
 
 
 def is_calibrated_sensor(folder: Path) -> bool:
@@ -172,13 +164,16 @@ def is_calibrated_sensor(folder: Path) -> bool:
 def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
     """Write a sensor file, and its mask and surface beside it, and return the path. Raises OSError if that fails."""
     mm = 1e3
-    values: dict[str, Any] = {"camera": geometry.camera, "image_size_px": [geometry.width_px, geometry.height_px]}
-    if geometry.is_pinhole:
-        values |= {"fx": geometry.fx, "fy": geometry.fy}
-    else:
-        values |= {"mm_per_px": [mm / geometry.fx, mm / geometry.fy]}
-    values |= {"cx": geometry.cx, "cy": geometry.cy, "standoff_mm": mm * geometry.standoff_m}
-    values |= {"max_depth_mm": mm * geometry.max_depth_m}
+    pinhole = {"fx": geometry.fx, "fy": geometry.fy}
+    values: dict[str, Any] = {
+        "camera": geometry.camera,
+        "image_size_px": [geometry.width_px, geometry.height_px],
+        **(pinhole if geometry.is_pinhole else {"mm_per_px": [mm / geometry.fx, mm / geometry.fy]}),
+        "cx": geometry.cx,
+        "cy": geometry.cy,
+        "standoff_mm": mm * geometry.standoff_m,
+        "max_depth_mm": mm * geometry.max_depth_m,
+    }
     if geometry.rectangle_m is not None:
         values |= {"sensing_rectangle_mm": [mm * v for v in geometry.rectangle_m]}
     if geometry.observed is not None:

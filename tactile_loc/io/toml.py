@@ -194,23 +194,18 @@ def format_toml(configuration: Mapping[str, Any]) -> str:
 
     A slot becomes one table with its name and its options. A list of tables becomes an array of tables.
     """
-    plain = {
-        key: value for key, value in configuration.items() if not isinstance(value, Mapping) and not _find_tables(value)
-    }
-    parts = [_format_lines(plain)] if plain else []
-    for name, section in configuration.items():
-        parts += [f"[[{name}]]\n" + _format_lines(table) for table in _find_tables(section)]
-        if isinstance(section, Mapping):
-            options = section.get("options")
-            flat = {k: v for k, v in section.items() if k != "options"}
-            parts.append(f"[{name}]\n" + _format_lines({**flat, **(options if isinstance(options, Mapping) else {})}))
-    return "\n".join(parts)
-
-
-def _find_tables(value: Any) -> Sequence[Mapping[str, Any]]:
-    """Return the value if it is a list of tables only, otherwise an empty tuple."""
-    is_array = isinstance(value, (list, tuple)) and all(isinstance(item, Mapping) for item in value)
-    return value if is_array else ()
+    plain: dict[str, Any] = {}
+    tables: list[tuple[str, Mapping[str, Any]]] = []
+    for name, value in configuration.items():
+        if isinstance(value, Mapping):
+            options = value.get("options")
+            flat = {k: v for k, v in value.items() if k != "options"}
+            tables.append((f"[{name}]", {**flat, **(options if isinstance(options, Mapping) else {})}))
+        elif isinstance(value, (list, tuple)) and value and all(isinstance(one, Mapping) for one in value):
+            tables += [(f"[[{name}]]", one) for one in value]
+        else:
+            plain[name] = value
+    return "\n".join([_format_lines(plain)] * bool(plain) + [f"{head}\n{_format_lines(one)}" for head, one in tables])
 
 
 def _format_lines(values: Mapping[str, Any]) -> str:

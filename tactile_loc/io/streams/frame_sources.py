@@ -9,10 +9,11 @@ from __future__ import annotations
 import os
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,32 +65,28 @@ class SourceFrame:
 Frames = Generator[SourceFrame, None, None]
 
 
-class FrameSource(Protocol):
-    """A source of frames."""
+class FrameSource(ABC):
+    """A source of frames. `about` is the source in words, and `dropped` counts frames that newer frames replaced."""
 
-    @property
-    def about(self) -> str:
-        """The source in words."""
+    about: str
+    dropped = 0
 
-    @property
-    def dropped(self) -> int:
-        """The number of frames dropped so far, because newer frames had arrived."""
-
+    @abstractmethod
     def read_frames(self) -> Frames:
         """Yield frames as they arrive, until the source ends. Raises SourceError when the source is lost."""
 
 
-class _Newest:
-    """Holds the newest of the frames that another thread reads. `dropped` counts frames that were never taken."""
+class _Followed(FrameSource):
+    """A source whose frames another thread reads, so that only the newest frame waits."""
 
-    def __init__(self) -> None:
+    def __init__(self, about: str) -> None:
+        self.about = about
         self._changed = threading.Condition()
         self._frame: SourceFrame | None = None
         self._ended = False
         self._error: BaseException | None = None
-        self.dropped = 0
 
-    def follow(self, frames: Iterator[SourceFrame]) -> Frames:
+    def _follow(self, frames: Iterator[SourceFrame]) -> Frames:
         """Read the frames in another thread, and yield the newest frame each time, until the frames end.
 
         Raises the error that ended the other thread.
@@ -129,21 +126,16 @@ class _Newest:
         return frame
 
 
-class Camera:
+class Camera(_Followed):
     """A camera that OpenCV opens by a number or a device name. It yields the newest frame each time."""
 
     def __init__(self, device: str) -> None:
-        self.device, self.about = device, f"camera {device}"
-        self._newest = _Newest()
-
-    @property
-    def dropped(self) -> int:
-        """The number of frames dropped so far."""
-        return self._newest.dropped
+        super().__init__(f"camera {device}")
+        self.device = device
 
     def read_frames(self) -> Frames:
         """Yield the newest frame each time. Raises SourceError when the camera is missing or lost."""
-        return self._newest.follow(self._grab(self._open()))
+        return self._follow(self._grab(self._open()))
 
     def _open(self) -> Any:
         try:
@@ -173,21 +165,16 @@ class Camera:
         raise SourceError(f"{self.about} stopped after {number} images; check its connection")
 
 
-class Video:
+class Video(_Followed):
     """A video. It yields every frame, or, like a camera, the newest frame each time at the video's own rate."""
 
     def __init__(self, path: Path, every: bool) -> None:
-        self.path, self.every, self.about = path, every, f"video {path}"
-        self._newest = _Newest()
-
-    @property
-    def dropped(self) -> int:
-        """The number of frames dropped so far."""
-        return self._newest.dropped
+        super().__init__(f"video {path}")
+        self.path, self.every = path, every
 
     def read_frames(self) -> Frames:
         """Yield the frames. Raises SourceError when the video cannot be read or is truncated."""
-        return self._read() if self.every else self._newest.follow(self._play())
+        return self._read() if self.every else self._follow(self._play())
 
     def _read(self) -> Frames:
         facts, number = read_video_facts(self.path), 0
@@ -206,7 +193,7 @@ class Video:
             yield frame
 
 
-class ImageFolder:
+class ImageFolder(FrameSource):
     """A folder that receives images or contact shapes, ordered by the time of writing, then by name.
 
     With `every`, the source yields each file that is in the folder, and then ends. Otherwise it yields the newest file
@@ -215,7 +202,6 @@ class ImageFolder:
 
     def __init__(self, path: Path, every: bool) -> None:
         self.path, self.every, self.about = path, every, f"folder {path}"
-        self.dropped = 0
         self._number = 0
         self._seen: dict[str, int] = {}  # time of writing of each file, ns
         self._growing: dict[str, tuple[int, float]] = {}  # size, and the time of its last change

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import bz2
 import sqlite3
 import sys
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -16,11 +18,20 @@ from mcap_ros2.decoder import DecoderFactory
 from message_helpers import missing, naming
 from recording_helpers import S, write_bag
 from rosbags.rosbag2 import Writer as Writer2
+from rosbags.rosbag2.reader import zstd
 from rosbags.typesys import Stores, get_typestore
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError, RecordingError
-from tactile_loc.io.streams.recordings import Message, Recording, RecordingWriter, choose_image_topic, write_recording
+from tactile_loc.core.runtime.limits import TooLargeError
+from tactile_loc.io.streams.recordings import (
+    Message,
+    Recording,
+    RecordingWriter,
+    choose_image_topic,
+    limit_unpacking,
+    write_recording,
+)
 from tactile_loc.io.streams.ros_messages import (
     IMAGE,
     POSE,
@@ -275,3 +286,17 @@ def test_a_recording_is_written_whole_or_not_at_all(recorded):
     assert [path.name for path in recorded.parent.iterdir()] == ["drive.mcap"]
     with pytest.raises(OutputError):
         write_recording(recorded / "below.mcap", fill)
+
+
+DATA = np.random.default_rng(0).bytes(5000)
+
+
+@pytest.mark.parametrize(
+    ("pack", "unpack"),
+    [(bz2.compress, bz2.decompress), (lz4.frame.compress, lz4.frame.decompress), (zstd.compress, zstd.decompress)],
+)
+def test_a_chunk_or_message_of_a_bag_is_unpacked_up_to_the_limit(pack, unpack):
+    assert limit_unpacking(unpack)(pack(DATA)) == DATA
+    assert limit_unpacking(unpack, len(DATA))(pack(DATA)) == DATA
+    with pytest.raises(TooLargeError):
+        limit_unpacking(unpack, len(DATA) - 1)(pack(DATA))
