@@ -61,15 +61,11 @@ def test_the_file_gives_lengths_in_mm(tmp_path):
     assert not values.keys() & {"fx", "fy"}
 
 
-def test_a_sensor_without_a_mask_is_one_file_and_a_missing_mask_is_named(tmp_path):
+def test_a_sensor_without_a_mask_is_one_file(tmp_path):
     write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["gelslim"])
     assert [path.name for path in tmp_path.iterdir()] == ["sensor.toml"]
     with pytest.raises(FileNotFoundError, match="none"):
         write_sensor_file(tmp_path / "none" / "sensor.toml", GEOMETRIES["gelslim"])
-    write_sensor_file(tmp_path / "sensor.toml", GEOMETRIES["mask"])
-    tmp_path.joinpath("sensor_mask.png").unlink()
-    with pytest.raises(SensorError, match=naming("sensor.toml", "sensor_mask.png")):
-        read_sensor_file(tmp_path / "sensor.toml")
 
 
 @pytest.mark.parametrize(

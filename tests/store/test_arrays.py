@@ -75,26 +75,6 @@ def test_a_packed_array_is_read_back(tmp_path, array):
     assert (tmp_path / "a.npz").stat().st_size < 400 + MOSTLY_EMPTY.nbytes / 10
 
 
-def test_the_store_packs_arrays_on_request_and_an_interrupted_build_finds_them_again(store):
-    made = []
-
-    def build(work, interrupted):
-        found = work.load("codes")
-        if found is None:
-            made.append(1)
-            work.save_array("codes", MOSTLY_EMPTY, packed=True)
-        if interrupted:
-            raise KeyboardInterrupt
-        np.testing.assert_array_equal(work.load("codes"), MOSTLY_EMPTY)
-
-    with pytest.raises(KeyboardInterrupt):
-        store.build(KEY, lambda work: build(work, True))
-    artifact = store.build(KEY, lambda work: build(work, False))
-    assert len(made) == 1
-    assert artifact.names == ("codes.npz",)
-    np.testing.assert_array_equal(artifact.load_array("codes"), MOSTLY_EMPTY)
-
-
 def test_files_without_a_packed_array_are_refused(tmp_path, store):
     path = tmp_path / "codes.npz"
     write_packed(path, MOSTLY_EMPTY)

@@ -68,13 +68,6 @@ def test_an_unreadable_file_counts_as_damaged(store, monkeypatch):
         artifact.verify()
 
 
-def test_a_build_replaces_a_damaged_artifact(store):
-    truth = contents(store.build(KEY, Five()).path)
-    DAMAGES["truncated file"](folder_of(store))
-    assert contents(store.build(KEY, Five()).path) == truth
-    assert store.built == [KEY, KEY]
-
-
 def test_an_artifact_moved_to_another_key_is_not_read(store):
     other = StageKey("bank", 2, {})
     store.build(KEY, Five()).path.rename(folder_of(store, other))

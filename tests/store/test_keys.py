@@ -83,28 +83,17 @@ def test_stage_names_that_leave_the_store_are_refused(name):
         StageKey(name, 1, {})
 
 
-def test_hash_arrays_sees_values_dtype_shape_and_name():
-    a = np.arange(6, dtype=np.float32).reshape(2, 3)
-    reference = hash_arrays(a=a)
+def test_hash_arrays_sees_values_dtype_shape_and_name_but_no_layout():
+    a, b = np.arange(6, dtype=np.float32).reshape(2, 3), np.arange(3)
     changed = a.copy()
     changed[1, 2] = np.nextafter(changed[1, 2], np.float32(9))
-    assert len(reference) == 64
-    assert reference == hash_arrays(a=a.copy())
     others = [changed, a.reshape(3, 2), a.ravel(), a.astype(np.float64), a.view(np.int32), a.astype(">f4")]
-    assert len({reference, hash_arrays(b=a), *(hash_arrays(a=other) for other in others)}) == 2 + len(others)
-
-
-def test_hash_arrays_ignores_memory_layout_and_order_of_names():
-    a, b = np.arange(12.0).reshape(3, 4), np.arange(3)
-    assert hash_arrays(a=a, b=b) == hash_arrays(b=b, a=np.asfortranarray(a))
+    others += [np.zeros((0, 3)), np.zeros((3, 0)), np.array(1.0), np.array([1.0]), np.array(["a"])]
+    others.append(np.array(["1970"], "M8[s]"))
+    assert len({hash_arrays(a=a), hash_arrays(b=a), *(hash_arrays(a=other) for other in others)}) == 2 + len(others)
+    assert len(hash_arrays(a=a)) == 64
+    assert hash_arrays(a=a, b=b) == hash_arrays(b=b, a=np.asfortranarray(a)) != hash_arrays(a=b, b=a)
     assert hash_arrays(a=a[:, ::2]) == hash_arrays(a=a[:, ::2].copy())
-    assert hash_arrays(a=a, b=b) != hash_arrays(a=b, b=a)
-
-
-def test_hash_arrays_distinguishes_unusual_arrays():
-    kinds = [np.zeros((0, 3)), np.zeros((3, 0)), np.array(1.0), np.array([1.0]), np.array(["a"])]
-    kinds.append(np.array(["1970"], "M8[s]"))
-    assert len({hash_arrays(a=kind) for kind in kinds}) == len(kinds)
     with pytest.raises(StoreError, match=naming("'a'", "objects")):
         hash_arrays(a=np.array([{}]))
 

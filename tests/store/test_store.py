@@ -73,13 +73,6 @@ def test_the_folder_holds_only_the_kept_pieces_and_the_manifest(store):
     assert set(manifest["files"]["sum.npy"]) == {"size", "sha256"}
 
 
-def test_other_inputs_give_another_artifact(store):
-    other = StageKey("bank", 2, KEY.inputs)
-    for number, key in enumerate((KEY, other)):
-        store.build(key, lambda workspace, number=number: workspace.save_json("x", number))
-    assert [store.get(key).load_json("x") for key in (KEY, other)] == [0, 1]
-
-
 def test_a_label_is_stored_and_is_not_part_of_the_key(store):
     named = StageKey(KEY.stage, KEY.version, KEY.inputs, label="pin")
     assert named == KEY

@@ -1,4 +1,4 @@
-"""Frames of a folder, a video and a camera: every frame or the newest, and the error when the source is lost."""
+"""Frames of a folder, a video and a camera: every frame, the newest, or single frames on request, and lost sources."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from PIL import Image
 
 from tactile_loc.core.runtime.errors import MissingLibraryError, SourceError, TouchError
 from tactile_loc.io.streams import frame_sources
-from tactile_loc.io.streams.frame_sources import Camera, ImageFolder, SourceFrame, Video, open_source
+from tactile_loc.io.streams.frame_sources import Camera, FrameTaker, ImageFolder, SourceFrame, Video, open_source
 from tactile_loc.io.streams.videos import VideoFacts
 
 
@@ -180,23 +180,24 @@ def test_a_file_that_is_not_a_video_gives_an_error(tmp_path):
 
 
 class FakeCapture:
-    """A camera of OpenCV that gives three images, in BGR, and is then unplugged."""
+    """A camera of OpenCV that gives some images, in BGR, up to 1000 a second, and is then unplugged."""
 
     asked: object = None
-    opens = True
+    opens, images, released = True, 3, 0
 
     def __init__(self, device: object) -> None:
-        type(self).asked, self.left = device, 3
+        type(self).asked, self.left = device, self.images
 
     def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
         return self.opens
 
     def read(self) -> tuple[bool, np.ndarray | None]:
         self.left -= 1
+        time.sleep(0.001)
         return (True, picture((10, 20, 30))) if self.left >= 0 else (False, None)
 
     def release(self) -> None:
-        self.left = 0
+        type(self).released += 1
 
 
 @pytest.fixture
@@ -235,3 +236,38 @@ def test_exactly_one_source_must_be_given(tmp_path):
         with pytest.raises(SourceError, match=naming(word)):
             open_source(*given)
     assert isinstance(open_source(tmp_path, None, True), ImageFolder)
+
+
+def test_a_folder_gives_its_newest_file_once(tmp_path):
+    for folder in (tmp_path, tmp_path / "missing"):  # empty, or missing
+        with pytest.raises(SourceError):
+            FrameTaker(ImageFolder(folder, every=False), waits_s=0.05).take()
+    for n in range(3):
+        put(tmp_path, f"{n}.png", COLOURS[n], 10 + n)
+    taker = FrameTaker(ImageFolder(tmp_path, every=False), waits_s=0.1)
+    assert taker.take().name == "2.png"
+    with pytest.raises(SourceError):
+        taker.take()
+    put(tmp_path, "new.png", COLOURS[3])
+    assert taker.take().name == "new.png"
+
+
+def test_a_video_plays_until_it_ends(film, tmp_path):
+    taker = FrameTaker(Video(tmp_path / "film.mp4", every=False))
+    numbers = [taker.take().number]
+    time.sleep(0.2)
+    numbers.append(taker.take().number)
+    assert numbers[1] == 49 > numbers[0]
+    with pytest.raises(SourceError):
+        taker.take()
+
+
+def test_a_camera_settles_first_and_stays_open_until_it_is_closed(capture, monkeypatch):
+    monkeypatch.setattr(capture, "images", 10**6)
+    monkeypatch.setattr(frame_sources, "SETTLES_S", 0.02)
+    taker = FrameTaker(Camera("0"))
+    first, second = taker.take(), taker.take()
+    assert second.number > first.number > 1
+    assert capture.released == 0
+    taker.close()
+    assert capture.released == 1
