@@ -71,7 +71,6 @@ if TYPE_CHECKING:
 
     # for sensors and renderers
     from tactile_loc.core.objects.blocks import Blocks as Blocks, make_blocks as make_blocks
-    from tactile_loc.core.objects.blocks import NearestTriangles as NearestTriangles
     from tactile_loc.core.runtime.compiled import run_in_threads as run_in_threads, njit as njit
     from tactile_loc.core.sensing.contact import bring_to_contact as bring_to_contact
     from tactile_loc.core.sensing.contact import group_rotations as group_rotations
@@ -80,10 +79,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import compute_contact_depth as compute_contact_depth
     from tactile_loc.core.sensing.touch import contact_shape_from_array as contact_shape_from_array
     from tactile_loc.core.objects.surface_field import SurfaceField as SurfaceField
-    from tactile_loc.core.objects.surface_field import find_closest_on_triangle as find_closest_on_triangle
-    from tactile_loc.core.objects.surface_field import find_downhill as find_downhill
     from tactile_loc.core.objects.surface_field import build_surface_field as build_surface_field
-    from tactile_loc.core.objects.surface_field import find_triangle_near as find_triangle_near
     from tactile_loc.core.sensing.zbuffer import draw_nearest_depths as draw_nearest_depths
 
     # for grids

@@ -89,7 +89,7 @@ class CloudRefiner(Refiner):
         before = [shape.contact_iou(wanted, geometry.observed_mask) for shape in seen]
         found = self._register_shapes(seen, wanted, geometry)
         poses = np.stack([_move(start, f.T_mm) for start, f in zip(starts, found, strict=True)])
-        rows = zip(found, poses, scene.contact_ious(poses, touch), given, before, strict=True)
+        rows = zip(found, poses, scene.compare_imprints(poses, touch).contact_ious.tolist(), given, before, strict=True)
         return [_choose_better(*row) for row in rows]
 
     def _register_shapes(

@@ -79,7 +79,7 @@ class PlaceProblem(TrainingProblem):
     def key_presses_m(self) -> NDArray[np.float64]:
         """The depths (P,), metres, at which touches are cut, from that of a light press, in steps of PRESS_STEP_M."""
         geometry = self.scene.geometry
-        deepest_m = min(HIGHEST_M, geometry.gel.find_compared_m(geometry.max_depth_m))
+        deepest_m = min(HIGHEST_M, geometry.max_depth_m * geometry.gel.compared_share)
         first = max(1, round(LIGHTEST * deepest_m / PRESS_STEP_M))
         last = max(first, int(deepest_m / PRESS_STEP_M + 1e-6))
         return np.round(np.arange(first, last + 1, dtype=np.float64) * PRESS_STEP_M, 9)

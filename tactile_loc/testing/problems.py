@@ -316,7 +316,7 @@ def make_training_problem(seed: int = 0) -> TrainingProblem:
     """Return a tiny problem for training an encoder before its checks, with the checks' object and camera."""
     scene = Scene(make_block(), LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
     grid = make_small_grid(seed=seed, scene=scene)
-    shapes = scene.render_grid_depths(grid.T_sensor_object)
+    shapes = scene.render_contact_depths(grid.T_sensor_object, grid=True)
     sampler = registry().create("grid", "face", {"spacing_mm": 4.0, "face": "-z"})
     return ListedProblem(grid, scene, sampler, lambda: iter([shapes]))
 

@@ -77,4 +77,4 @@ def spread_rotations(obj: ObjectModel, count: int) -> Float:
     else:
         R = rotations_of_axis(axis, fibonacci_directions(count))
         kept = R[obj.symmetry.is_representative(R, step_rad=2 * np.pi)]
-    return kept if len(kept) else obj.symmetry.find_canonical(R[:1])
+    return kept if len(kept) else R[:1]

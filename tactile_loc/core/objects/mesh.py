@@ -121,3 +121,23 @@ def check_surface(mesh: TriangleMesh, name: str) -> None:
             f"{name} is {size * 1e3:.4g} mm long, but objects from 1 mm to 1 m can be located, so its unit is probably "
             "wrong; give `units` m, mm, cm or inch"
         )
+
+
+def find_shared_sides(corners: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the pairs (E, 2) of sides of triangles (F, 3, 3) that are the same edge, from different triangles.
+
+    Side 3 f + k of triangle f leads from its corner k to the next one. Corners are the same if they are exactly equal.
+    An edge of more than two triangles gives several pairs.
+    """
+    points = corners.reshape(-1, 3)
+    order = np.lexsort(points.T)
+    starts = np.r_[False, (np.diff(points[order], axis=0) != 0).any(axis=1)]
+    which = np.empty(len(points), np.int64)
+    which[order] = np.cumsum(starts)  # equal numbers for equal corners
+    ends = np.sort(np.stack([which, np.roll(which.reshape(-1, 3), -1, axis=1).ravel()]), axis=0)
+    edge = ends[0] * len(points) + ends[1]
+    side = np.argsort(edge, kind="stable")
+    edge, apart, pairs = edge[side], 0, [np.empty((0, 2), np.int64)]
+    while (apart := apart + 1) < len(side) and (same := edge[apart:] == edge[:-apart]).any():
+        pairs.append(np.column_stack([side[:-apart][same], side[apart:][same]]))
+    return np.concatenate(pairs)

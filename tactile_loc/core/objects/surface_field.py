@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.objects.blocks import NearestTriangles
-from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc.core.objects.mesh import TriangleMesh, find_shared_sides
 from tactile_loc.core.runtime.caches import ByteCache
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 
@@ -101,19 +101,7 @@ class SurfaceField:
 
 def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Return the neighbours that share an edge with each triangle (F, 3, 3), joined, and where each list ends."""
-    points = corners.reshape(-1, 3)
-    order = np.lexsort(points.T)
-    starts = np.r_[False, (np.diff(points[order], axis=0) != 0).any(axis=1)]
-    which = np.empty(len(points), np.int64)
-    which[order] = np.cumsum(starts)  # equal numbers for equal corners
-    ends = np.sort(np.stack([which, np.roll(which.reshape(-1, 3), -1, axis=1).ravel()]), axis=0)
-    edge = ends[0] * len(points) + ends[1]
-    order = np.argsort(edge, kind="stable")
-    edge, face = edge[order], order // 3
-    pairs: list[NDArray[np.int64]] = []  # with a common edge, which may have more than two triangles
-    while len(pairs) < len(face) - 1 and (same := edge[len(pairs) + 1 :] == edge[: -len(pairs) - 1]).any():
-        pairs.append(np.stack([face[: -len(pairs) - 1][same], face[len(pairs) + 1 :][same]]))
-    one, other = np.hstack([*pairs, np.empty((2, 0), np.int64)])
+    one, other = find_shared_sides(corners).T // 3
     both, times = np.unique(np.r_[one * len(corners) + other, other * len(corners) + one], return_counts=True)
     one, other = np.divmod(both[times == 1], len(corners))  # equal triangles have three common edges
     return other.astype(np.int32), np.r_[0, np.cumsum(np.bincount(one, minlength=len(corners)))]
@@ -179,18 +167,6 @@ def _fill_rough_gaps(first, last, points, T, triangles, distances, gaps):
         gaps[k] = total / max(1, len(points))
 
 
-@njit
-def find_triangle_near(x, triangles):
-    """Return the number of the triangle nearest to the cell of x (3,), or -1 beyond reach."""
-    return find_cell_triangle(x[0], x[1], x[2], triangles)
-
-
-@njit
-def find_downhill(x, f, triangles):
-    """Return the triangle nearest to x (3,), and its squared distance: see `walk_to_nearest`."""
-    return walk_to_nearest(x[0], x[1], x[2], f, triangles)
-
-
 # The next functions take numbers instead of arrays, because a view of an array takes numba longer than the arithmetic.
 @njit(fast=True)
 def find_cell_triangle(x, y, z, triangles):
@@ -239,12 +215,6 @@ def _measure_off(x, y, z, f, corners, normals):
     off = normals[f, 0] * (x - corners[f, 0]) + normals[f, 1] * (y - corners[f, 1])
     off += normals[f, 2] * (z - corners[f, 2])
     return off * off
-
-
-@njit
-def find_closest_on_triangle(x, a, sides):
-    """Return the point nearest to x (3,) of the triangle with corner a (3,) and `sides` (2, 3) from there."""
-    return find_closest_point(x[0], x[1], x[2], 0, a.reshape(1, 3), sides.reshape(1, 2, 3))
 
 
 @njit(fast=True)

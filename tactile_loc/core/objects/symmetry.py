@@ -146,7 +146,7 @@ class SymmetryGroup:
 
         The representative is the equivalent nearest to a fixed rotation (a Dirichlet domain). If several are equally
         near, all of them count, so that no pose is lost. Use this method only for sets that contain all equivalents of
-        each rotation, such as a grid over all of SO(3). Compare other sets with `find_canonical`.
+        each rotation, such as a grid over all of SO(3).
 
         For a continuous axis, give `step_rad`, the spacing of the rotations about this axis. A rotation then counts if
         it is within half a step of the nearest equivalent. Raises SymmetryError if `step_rad` is needed but not given.
@@ -162,21 +162,6 @@ class SymmetryGroup:
             raise SymmetryError(f"the symmetry '{self}' is continuous; give a positive step_rad of the rotations")
         half_step_rad = step_rad / 2.0
         return is_nearest & (angle_rad[:, 0] > -half_step_rad) & (angle_rad[:, 0] <= half_step_rad)
-
-    def find_canonical(self, R: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return, for each R_sensor_object (N, 3, 3), the equivalent rotation (N, 3, 3) nearest to a fixed rotation.
-
-        Two poses are equivalent if and only if the returned rotations are equal and the positions of the group's centre
-        are equal.
-        """
-        if self.is_sphere:
-            return np.tile(_REFERENCE, (len(R), 1, 1))
-        nearness, angle_rad = self._measure_nearness(R)
-        best = nearness.argmax(axis=1)
-        nearest = np.asarray(R, dtype=np.float64) @ self.rotations[best]
-        if self.continuous_axis is None:
-            return nearest
-        return nearest @ rotation_about(self.continuous_axis, angle_rad[np.arange(len(best)), best])
 
     def measure_least_angle(self, R_reference: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the least angle (N,), radians, from R_reference (3, 3) to the equivalents of rotations R (N, 3, 3)."""

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import rotation_about
+from tactile_loc.core.geometry.rigid import axis_angle, rotation_about
+from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.objects.symmetry import MAX_ORDER, SymmetryGroup, SymmetryTerm, close_rotations, name_axis
 from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
 from tactile_loc.core.runtime.errors import SymmetryError
@@ -25,20 +26,18 @@ _SCAN_ORDERS = (2, 3, 5, 7)
 _LETTER_WEIGHTS = (1.002, 1.001, 1.0)  # of equivalent half-turn axes, x is preferred to y, and y to z
 
 
-def detect_symmetry(
-    vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float = RESOLUTION_M, seed: int = 0
-) -> SymmetryGroup:
+def detect_symmetry(mesh: TriangleMesh, tolerance_m: float = RESOLUTION_M) -> SymmetryGroup:
     """Return the rotations about the surface's centroid that map the surface of a mesh onto itself.
 
-    The mesh has `vertices_m` (V, 3), metres, and `faces` (F, 3). A rotation does not count if a patch of the rotated
+    A rotation does not count if a patch of the rotated
     surface, at least half a millimetre wide, is farther than `tolerance_m` from the surface. A pocket therefore breaks
     the symmetry of a plate of any size. On tessellated curves, the error of the facets is also allowed. Axes with up to
-    60-fold symmetry, continuous axes and spheres are found. `seed` is for drawing the surface points, which are about
-    0.4 mm apart. There are at most 40,000 points. Raises ObjectError if the mesh has no surface.
+    60-fold symmetry, continuous axes and spheres are found. The drawn surface points are about 0.4 mm apart. There are
+    at most 40,000 points.
     """
-    probe = SurfaceProbe(vertices_m, faces, seed)
+    probe = SurfaceProbe(mesh)
     search = _Search(probe, tolerance_m)
-    moments_m2, axes = np.linalg.eigh(probe.covariance_m2())
+    moments_m2, axes = np.linalg.eigh(probe.covariance_m2)
     equal = np.diff(moments_m2) < _EQUAL_MOMENTS * moments_m2[2]
     if equal.all():
         terms = search.terms_anywhere(axes.T)
@@ -49,17 +48,14 @@ def detect_symmetry(
     return search.group(terms)
 
 
-def require_symmetry(
-    group: SymmetryGroup, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], tolerance_m: float | None = None
-) -> None:
-    """Raise SymmetryError if the surface of a mesh differs from itself by more than `tolerance_m` under the group.
+def require_symmetry(group: SymmetryGroup, mesh: TriangleMesh) -> None:
+    """Raise SymmetryError if the surface of a mesh differs from itself too much under the group.
 
-    The mesh has `vertices_m` (V, 3), metres, and `faces` (F, 3). The default tolerance is
-    `SurfaceProbe.declared_tolerance_m`. It is larger than in detection, so that the symmetry of an inexact scan can be
-    declared. The error names the rotation, the deviation and the position of the deviation.
+    The tolerance is `SurfaceProbe.declared_tolerance_m`. It is larger than in detection, so that the symmetry of an
+    inexact scan can be declared. The error names the rotation, the deviation and the position of the deviation.
     """
-    probe = SurfaceProbe(vertices_m, faces)
-    tolerance_m = probe.declared_tolerance_m() if tolerance_m is None else tolerance_m
+    probe = SurfaceProbe(mesh)
+    tolerance_m = probe.declared_tolerance_m()
     deviation_m, R, point_m = _find_worst(probe, group, tolerance_m)
     if deviation_m > tolerance_m:
         place = ", ".join(f"{1e3 * value:.1f}" for value in point_m)
@@ -73,52 +69,34 @@ def require_symmetry(
 Deviation = tuple[float, NDArray[np.float64], NDArray[np.float64]]  # distance, rotation (3, 3), point (3,)
 
 
-def _find_worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
-    """Return the largest deviation of the surface, metres, under a group's rotations."""
-    both = (worst(probe, group, tolerance_m) for worst in (_find_worst_of_few, _find_worst_patch))
-    return max(both, key=lambda deviation: deviation[0])
+def _find_worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float, all_points: bool = True) -> Deviation:
+    """Return the largest deviation of the surface, metres, under a group's rotations.
 
-
-def _find_worst_of_few(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
-    """Return the largest deviation of a few points under all elements, ignoring the worst thousandth of the points."""
-    elements = group.list_elements(_VERIFY_STEP_RAD)[1:]
-    few = probe.few.first(_VERIFY_EVALUATIONS // (len(elements) + 1))
-    worst: Deviation = (0.0, np.eye(3), probe.centre_m)
-    for R in elements[:, :3, :3]:
-        mapped_m = _map_points(few.points_m, R, group.centre_m - probe.centre_m)
-        deviation_m = probe.deviation_m(mapped_m, few.open_m, tolerance_m)
-        index = int(np.argsort(deviation_m)[_count_kept(len(few)) - 1])
-        if deviation_m[index] > worst[0]:
-            worst = float(deviation_m[index]), R, mapped_m[index] + probe.centre_m
-    return worst
-
-
-def _find_worst_patch(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float) -> Deviation:
-    """Return the largest deviation of many points under the generators.
-
-    The generators are enough: if an element moves a feature of the surface, then so does a generator.
+    A few points are mapped by all elements of the group, ignoring the worst thousandth of these points. With
+    `all_points`, many points are mapped by the generators, too. These are enough: if an element moves a feature of the
+    surface, then so does a generator.
     """
-    worst: Deviation = (0.0, np.eye(3), probe.centre_m)
-    for R in _list_generators(group):
-        mapped_m = _map_points(probe.many.points_m, R, group.centre_m - probe.centre_m)
-        deviation_m, index = probe.patch_deviation_m(mapped_m, probe.many.open_m, tolerance_m)
+    elements, generators = group.list_elements(_VERIFY_STEP_RAD)[1:, :3, :3], _list_generators(group)
+    few, many = probe.few.first(_VERIFY_EVALUATIONS // (len(elements) + 1)), probe.many
+    worst, shift_m = (0.0, np.eye(3), probe.centre_m), group.centre_m - probe.centre_m
+    for number, R in enumerate([*elements, *(generators if all_points else ())]):
+        some = few if number < len(elements) else many
+        mapped_m = (some.points_m - shift_m) @ R.T + shift_m
+        if some is few:
+            each_m = probe.deviation_m(mapped_m, few.open_m, tolerance_m)
+            index = int(np.argsort(each_m)[_count_kept(len(few)) - 1])
+            deviation_m = float(each_m[index])
+        else:
+            deviation_m, index = probe.patch_deviation_m(mapped_m, many.open_m, tolerance_m)
         if deviation_m > worst[0]:
             worst = deviation_m, R, mapped_m[index] + probe.centre_m
     return worst
 
 
-def _map_points(
-    points_m: NDArray[np.float64], R: NDArray[np.float64], centre_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Rotate points (N, 3), metres, by R (3, 3) about a centre (3,), metres."""
-    return (points_m - centre_m) @ R.T + centre_m
-
-
-def _list_generators(group: SymmetryGroup) -> NDArray[np.float64]:
-    """Return a group's generators (K, 3, 3) and their inverses. One rotation represents a continuous axis."""
+def _list_generators(group: SymmetryGroup) -> list[NDArray[np.float64]]:
+    """Return a group's generators (3, 3) and their inverses. One rotation represents a continuous axis."""
     forward = [rotation_about(t.axis, _GOLDEN_RAD) if math.isinf(t.order) else t.rotation for t in group.terms]
-    both = [R for one in forward for R in ((one,) if np.allclose(one, one.T) else (one, one.T))]
-    return np.array(both).reshape(-1, 3, 3)
+    return [R for one in forward for R in ((one,) if np.allclose(one, one.T) else (one, one.T))]
 
 
 def _count_kept(count: int) -> int:
@@ -145,7 +123,7 @@ class _Search:
                 if rotations is None or len(rotations) == group.order:
                     continue
                 larger = SymmetryGroup(self._probe.centre_m, (*group.terms, term))
-            if _find_worst_of_few(self._probe, larger, self._tolerance_m)[0] <= self._tolerance_m:
+            if _find_worst(self._probe, larger, self._tolerance_m, all_points=False)[0] <= self._tolerance_m:
                 group = larger
         return group
 
@@ -326,11 +304,8 @@ def _sample_hemisphere(count: int) -> NDArray[np.float64]:
 
 def _name_rotation(R: NDArray[np.float64]) -> str:
     """Describe a rotation (3, 3), for instance as 'a rotation of 60 deg about z'."""
-    angle_rad = math.acos(float(np.clip((np.trace(R) - 1.0) / 2.0, -1.0, 1.0)))
-    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    if np.linalg.norm(axis) < 1e-6:  # a half turn: R + 1 = 2 a a^T
-        axis = (R + np.eye(3))[np.argmax(np.diag(R))]
-    axis = (axis / np.linalg.norm(axis)).round(3) + 0.0
+    angle_deg, axis = axis_angle(R)
+    axis = axis.round(3) + 0.0
     if axis[np.argmax(np.abs(axis))] < 0:
-        axis, angle_rad = -axis + 0.0, 2.0 * math.pi - angle_rad
-    return f"a rotation of {math.degrees(angle_rad):.4g} deg about {name_axis(axis)}"
+        axis, angle_deg = -axis + 0.0, 360.0 - angle_deg
+    return f"a rotation of {angle_deg:.4g} deg about {name_axis(axis)}"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tactile_loc.core.runtime.errors import ObjectError
+from tactile_loc.core.objects.mesh import TriangleMesh, find_shared_sides
 
 _DENSE_COUNT = 40_000
 _POINT_COUNT = 3_000
@@ -42,21 +42,18 @@ class SurfaceProbe:
     """Measures distances of points from a mesh's surface, and of a rotated surface from itself.
 
     All coordinates are in metres, relative to the surface's centroid `centre_m` (3,). Results depend on the surface,
-    and hardly on its triangulation. Raises ObjectError if the mesh has no area or vertices that are not finite.
+    and hardly on its triangulation.
     """
 
-    def __init__(self, vertices_m: NDArray[np.float64], faces: NDArray[np.int64], seed: int = 0) -> None:
-        corners = _require_triangles(vertices_m, faces)
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        doubled_area = np.linalg.norm(normals, axis=1)
-        kept = doubled_area > 1e-12 * doubled_area.sum()
-        self._area = doubled_area[kept] / 2.0
-        self._normals = normals[kept] / doubled_area[kept, None]
-        self.centre_m = np.average(corners[kept].mean(axis=1), axis=0, weights=self._area)
-        self._corners = corners[kept] - self.centre_m
+    def __init__(self, mesh: TriangleMesh) -> None:
+        kept = mesh.face_areas > 1e-12 * mesh.face_areas.sum()
+        self._area, self.centre_m, self.covariance_m2 = mesh.face_areas[kept], mesh.centroid_m, mesh.covariance_m2
+        self._corners = mesh.triangles_m[kept] - self.centre_m
+        normals = np.cross(self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0])
+        self._normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         self.radius_m = float(np.linalg.norm(self._corners, axis=2).max())
         self._open_m = self._estimate_open_m()
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         dense, self._dense_face = self._sample(_DENSE_COUNT, rng, at_least=1)
         self._tree = cKDTree(dense)
         points, face = self._sample(_POINT_COUNT, rng, at_least=0)
@@ -67,13 +64,6 @@ class SurfaceProbe:
         points, face = self._sample(count, rng, at_least=0)
         self.many = SurfaceSample(points, self._open_m[face])  # dense enough for every feature
 
-    def covariance_m2(self) -> NDArray[np.float64]:
-        """Return the exact covariance (3, 3) of the surface about its centroid, square metres."""
-        means = self._corners.mean(axis=1)
-        corner_part = np.einsum("f,fci,fcj->ij", self._area, self._corners, self._corners)
-        mean_part = np.einsum("f,fi,fj->ij", self._area, means, means)
-        return (corner_part + 9.0 * mean_part) / (12.0 * self._area.sum())
-
     def declared_tolerance_m(self) -> float:
         """Return by how much, metres, the surface may differ from itself under a declared symmetry.
 
@@ -81,7 +71,7 @@ class SurfaceProbe:
         flat object, it is 1 % of the smallest width, if that is less. The width is twice the standard deviation.
         """
         length_m = 2.0 * self.radius_m
-        width_m = 2.0 * math.sqrt(max(float(np.linalg.eigvalsh(self.covariance_m2())[0]), 0.0))
+        width_m = 2.0 * math.sqrt(max(float(np.linalg.eigvalsh(self.covariance_m2)[0]), 0.0))
         return max(min(0.005 * length_m, 0.01 * width_m), 1e-4 * length_m)
 
     def plane_residuals(
@@ -180,7 +170,9 @@ class SurfaceProbe:
         The distance is a multiple of the facets' sagitta, (width / 2) tan(bend / 4), at bends between faces. It is at
         most 1 % of the object's length. The few bends with the largest sagitta are taken for edges of the object.
         """
-        first, second, length_m = _find_shared_edges(self._corners, 1e-7 * self.radius_m)
+        sides = find_shared_sides(self._corners)
+        (first, second), ends = sides.T // 3, (np.roll(self._corners, -1, axis=1) - self._corners).reshape(-1, 3)
+        length_m = np.maximum(np.linalg.norm(ends[sides[:, 0]], axis=1), 1e-7 * self.radius_m)
         cosine = np.abs(np.einsum("ei,ei->e", self._normals[first], self._normals[second]))
         bend_rad = np.arccos(np.clip(cosine, 0.0, 1.0))
         width_m = 2.0 * np.minimum(self._area[first], self._area[second]) / length_m
@@ -191,37 +183,6 @@ class SurfaceProbe:
             for face in (first, second):
                 np.maximum.at(of_face_m, face, np.minimum(sagitta_m, most_m))
         return _FACETS * of_face_m
-
-
-def _require_triangles(vertices_m: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the corners (F, 3, 3) of the triangles. Raises ObjectError if the mesh has no surface."""
-    vertices_m, faces = np.asarray(vertices_m, dtype=np.float64), np.asarray(faces)
-    if vertices_m.ndim != 2 or vertices_m.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise ObjectError(f"a mesh has vertices {vertices_m.shape} and faces {faces.shape}; give (V, 3) and (F, 3)")
-    if faces.min() < 0 or faces.max() >= len(vertices_m):
-        raise ObjectError(f"the mesh has {len(vertices_m)} vertices, but its faces name others; export it again")
-    corners = vertices_m[faces]
-    if not np.isfinite(corners).all():
-        raise ObjectError("the mesh has vertices that are not finite numbers; repair or export it again")
-    if not np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any():
-        raise ObjectError("the mesh has no area: all of its triangles are degenerate; export it again")
-    return corners
-
-
-def _find_shared_edges(
-    corners: NDArray[np.float64], merge_m: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
-    """Return the first and second face, (E,) each, and the length (E,) of each edge that exactly two faces share."""
-    cells = np.round(corners.reshape(-1, 3) / merge_m).astype(np.int64)
-    hashed = (cells * np.array([1, 1_000_003, 998_244_353_000_003], dtype=np.int64)).sum(axis=1)
-    vertex = np.unique(hashed, return_inverse=True)[1].reshape(-1, 3)
-    edges = np.sort(np.stack([vertex, np.roll(vertex, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
-    _, edge, count = np.unique(edges[:, 0] * (vertex.max() + 1) + edges[:, 1], return_inverse=True, return_counts=True)
-    sides = np.argsort(edge, kind="stable")
-    pairs = sides[(count == 2)[edge[sides]]].reshape(-1, 2)
-    ends = (np.roll(corners, -1, axis=1) - corners).reshape(-1, 3)[pairs[:, 0]]
-    length_m = np.maximum(np.linalg.norm(ends, axis=1), merge_m)
-    return pairs[:, 0] // 3, pairs[:, 1] // 3, length_m
 
 
 def _measure_squared_distance(

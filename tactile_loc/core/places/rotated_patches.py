@@ -104,22 +104,6 @@ def _fill_patches(first, last, shown, frame, yaws, patches, seen):
                 patches[k, r, c] = min(max(h, 0.0), press) if known and touched else press
 
 
-def measure_excess(
-    places: Places, numbers: NDArray[np.int64], yaws: NDArray[np.int64], low_m: Float32, high_m: Float32, most_m: float
-) -> Float32:
-    """Return how far places leave the bounds of a touch, squared and summed over the patch (K,), square metres.
-
-    Pair k is the place `numbers[k]`, compared at the yaw `yaws[k]`. The surface of a place must lie between `low_m` and
-    `high_m` (M, PATCH_PX, PATCH_PX), metres from the anchor, for each of M yaws. A pixel counts at most `most_m`
-    metres. Unbounded pixels have infinite bounds.
-    """
-    low, high = (np.asarray(bound_m / np.float32(STEP_M) + BELOW, np.float32) for bound_m in (low_m, high_m))
-    excess = np.empty(len(numbers), np.float32)
-    pairs, most = (numbers, yaws), np.float32(most_m / STEP_M)
-    run_in_threads(_fill_excess, len(numbers), places.patches, pairs, (low, high), most, excess)
-    return excess * np.float32(STEP_M**2)
-
-
 @njit(fast=True)
 def _fill_excess(first, last, patches, pairs, bounds, most, excess):
     """Fill `excess` (K,) for the pairs from first to last. Heights are in the steps of the patches (N, S, S)."""
@@ -151,8 +135,9 @@ COMPARED = 20_000  # rotated places that are compared with a touch in one turn
 class TouchBounds:
     """The bounds of a touch for the surface of a place, for each of M yaws by which a place may be rotated.
 
-    `low_m` and `high_m` (M, PATCH_PX, PATCH_PX), metres, and `most_m` are as for `measure_excess`. The yaws are about
-    the z axis of the frame at the touch's deepest point, `T_sensor_anchor` (4, 4), metres.
+    The surface of a place must lie between `low_m` and `high_m` (M, PATCH_PX, PATCH_PX), metres from the touch's
+    deepest point. Unbounded pixels have infinite bounds. A pixel counts at most `most_m` metres. The yaws are about the
+    z axis of the frame at the deepest point, `T_sensor_anchor` (4, 4), metres.
     """
 
     T_sensor_anchor: Poses
@@ -161,16 +146,16 @@ class TouchBounds:
     most_m: float
 
     def measure_excess(self, places: Places, numbers: NDArray[np.int64], yaws: NDArray[np.int64]) -> Float32:
-        """Return how far rotated places leave the bounds (K,), square metres: see `measure_excess`.
+        """Return how far rotated places leave the bounds, squared and summed over the patch (K,), square metres.
 
         Pair k is the place `numbers[k]` at the yaw number `yaws[k]`.
         """
-        return np.concatenate(
-            [
-                measure_excess(places, numbers[some], yaws[some], self.low_m, self.high_m, self.most_m)
-                for some in split_into_turns(len(numbers), COMPARED)
-            ]
-        )
+        bounds = tuple(np.asarray(b / np.float32(STEP_M) + BELOW, np.float32) for b in (self.low_m, self.high_m))
+        excess, most = np.empty(len(numbers), np.float32), np.float32(self.most_m / STEP_M)
+        for some in split_into_turns(len(numbers), COMPARED):
+            pairs, part = (numbers[some], yaws[some]), excess[some]
+            run_in_threads(_fill_excess, len(part), places.patches, pairs, bounds, most, part)
+        return excess * np.float32(STEP_M**2)
 
 
 def bound_touch(touch: Touch, yaws_rad: NDArray[np.float64]) -> TouchBounds:

@@ -46,7 +46,8 @@ def make_outline_cloud(shape: ContactShape, geometry: SensorGeometry) -> tuple[P
     """
     observed, contact = geometry.observed_mask, shape.contact & geometry.observed_mask
     xyz = geometry.backproject(np.broadcast_to(geometry.full_penetration_m + shape.press_depth_m, geometry.shape))
-    outwards = _estimate_outline(contact, observed)
+    outwards = np.zeros((*contact.shape, 2))
+    fill_outline(contact, observed, *_list_outline_weights(), outwards)
     points, normals = [np.empty((0, 3))], [np.empty((0, 3))]
     for rows, columns in SIDES:
         borders = contact & _shift(~contact & observed, rows, columns)
@@ -66,17 +67,6 @@ def make_interior_cloud(shape: ContactShape, geometry: SensorGeometry) -> tuple[
     halfway = geometry.full_penetration_m + shape.press_depth_m - slack_m
     points = geometry.backproject(np.broadcast_to(halfway, geometry.shape))[contact]
     return points, np.broadcast_to([0.0, 0.0, -1.0], points.shape), slack_m
-
-
-def _estimate_outline(contact: NDArray[np.bool_], observed: NDArray[np.bool_]) -> Points:
-    """Return unit vectors (H, W, 2), x and y, that point across the outline, out of contact; 0 out of contact.
-
-    They point down the slope of the smoothed contact mask. Smoothing removes the pixel steps of an oblique edge.
-    Unobserved pixels count as half in contact.
-    """
-    directions = np.zeros((*contact.shape, 2))
-    fill_outline(contact, observed, *_list_outline_weights(), directions)
-    return directions
 
 
 @cache
@@ -147,7 +137,10 @@ def make_cloud(surface, drop, rays, pitch, walls, weights):
 
 @njit
 def fill_outline(contact, observed, smooth, slope, directions):
-    """Fill `directions` (H, W, 2) with the direction of `find_outwards` at each pixel that is in contact."""
+    """Fill `directions` (H, W, 2) with the direction of `find_outwards` at each pixel that is in contact.
+
+    Smoothing removes the pixel steps of an oblique edge.
+    """
     for row in range(contact.shape[0]):
         for column in range(contact.shape[1]):
             if contact[row, column]:

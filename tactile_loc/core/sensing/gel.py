@@ -75,16 +75,12 @@ class Gel:
         """The kind of gel, as in files: "rigid", or "layer" for an elastic layer or half-space."""
         return "layer" if self.is_elastic else "rigid"
 
-    def find_compared_m(self, press_depth_m: float) -> float:
-        """Return the depth, metres from the deepest point, up to which touches and poses are compared.
+    @property
+    def compared_share(self) -> float:
+        """The share of the press, from the deepest point, up to which touches and poses are compared.
 
         Farther up, an elastic gel shows mostly its own slope beside the contact.
         """
-        return press_depth_m * self.compared_share
-
-    @property
-    def compared_share(self) -> float:
-        """The share of the press up to which touches and poses are compared."""
         return COMPARED if self.is_elastic else 1.0
 
     def describe(self) -> dict[str, Any]:

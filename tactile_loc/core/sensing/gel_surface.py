@@ -148,13 +148,8 @@ class Window:
 @lru_cache(maxsize=64)
 def _make_interpolation(few: int, many: int, step: int, first: int) -> Float32:
     """Return weights (many, few) of linear interpolation; beyond the outer pixels, their values continue."""
-    at = np.clip((np.arange(many) - first) / step, 0, few - 1)
-    low = np.minimum(at.astype(int), max(few - 2, 0))
-    weights = np.zeros((many, few), np.float32)
-    weights[np.arange(many), low] = 1 - (at - low)
-    if few > 1:
-        weights[np.arange(many), low + 1] = at - low
-    return weights
+    at = (np.arange(many) - first) / step
+    return np.stack([np.interp(at, np.arange(few), one) for one in np.eye(few)], axis=1).astype(np.float32)
 
 
 STEPS = 20  # of each of the two searches for the pressure

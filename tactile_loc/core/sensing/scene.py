@@ -76,13 +76,18 @@ class Scene:
         """Return the scene with the sensor geometry of a touch, which has the touch's press and pixels."""
         return dataclasses.replace(self, geometry=touch.geometry)
 
-    def render_contact_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
+    def render_contact_depths(
+        self, T_sensor_object: Poses, press_depth_m: float | None = None, grid: bool = False
+    ) -> NDArray[np.float32]:
         """Render contact depths (N, H, W), metres, of poses (N, 4, 4) that are already in contact.
 
-        They are those in a rigid gel; `render_gel_depths` returns those that an elastic gel shows.
+        They are those in a rigid gel; `render_gel_depths` returns those that an elastic gel shows. They are cut at
+        `press_depth_m` metres, by default at the maximal depth. With `grid`, this is fast if many poses have the same
+        rotation.
         """
         T, camera = find_drawing(T_sensor_object, self.geometry, self.drawing)
-        depth = self.renderer.render_apart(self.object.mesh, T, camera.band)
+        render = self.renderer.render if grid else self.renderer.render_apart
+        depth = render(self.object.mesh, T, camera.band)
         return compute_contact_depth(depth, camera, camera.max_depth_m if press_depth_m is None else press_depth_m)
 
     def render_gel_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
@@ -98,25 +103,6 @@ class Scene:
         whole = dataclasses.replace(self, geometry=dataclasses.replace(geometry, max_depth_m=pressed_m))
         shown = deform_gel(whole.render_contact_depths(T_sensor_object), pressed_m, geometry)
         return np.where(shown < np.float32(min(pressed_m, cut_m)), shown, np.float32(cut_m))
-
-    def render_grid_depths(self, T_sensor_object: Poses) -> NDArray[np.float32]:
-        """Render contact depths (N, H, W), metres, of a grid's poses (N, 4, 4), cut at the maximal depth.
-
-        This is fast if many poses have the same rotation.
-        """
-        T, camera = find_drawing(T_sensor_object, self.geometry, self.drawing)
-        return compute_contact_depth(self.renderer.render(self.object.mesh, T, camera.band), camera, camera.max_depth_m)
-
-    def render_depths_to_compare(
-        self, T_sensor_object: Poses, touch: Touch, freedom_m: float = 0.0
-    ) -> NDArray[np.float32]:
-        """Render contact depths (N, H, W), metres, of poses (N, 4, 4) to compare with a touch.
-
-        Poses move along z towards contact, by at most the error of the measured press plus `freedom_m` metres.
-        """
-        freedom_m += _estimate_press_error_m(touch)
-        cut_m = touch.touching_shape.press_depth_m
-        return self.render_contact_depths(self.bring_near_contact(T_sensor_object, freedom_m), cut_m)
 
     def render_what_touch_shows(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float32]:
         """Render the contact depths (N, H, W), metres, that poses (N, 4, 4) would show instead of a touch.
@@ -151,24 +137,20 @@ class Scene:
         return ContactShape(shown, touch.press_depth_m)
 
     def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
-        """Return the contact IoU of one pose (4, 4), metres, with a touch: see `contact_ious`."""
-        return self.contact_ious(T_sensor_object[None], touch)[0]
+        """Return the contact IoU of one pose (4, 4), metres, with a touch: 0 to 1, unitless.
 
-    def contact_ious(self, T_sensor_object: Poses, touch: Touch) -> list[float]:
-        """Return the contact IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
-
-        A contact IoU is the intersection over union of the touch's contact and the pose's contact, over the observed
+        The contact IoU is the intersection over union of the touch's contact and the pose's contact, over the observed
         pixels. The images have about IOU_PX pixels on the longer side. A pose may move along z only by the error of the
         measured press, so a pose far above the sensor has no contact.
         """
-        return self.compare_imprints(T_sensor_object, touch).contact_ious.tolist()
+        return float(self.compare_imprints(T_sensor_object[None], touch).contact_ious[0])
 
     def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
         """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
 
         At each pixel, the imprint is the press depth minus the contact depth. Where there is contact, OUTLINE_SHARE of
         the press depth is added. The imprint IoU is the sum of the smaller of both imprints over all pixels, divided by
-        the sum of the larger. Pixels and movements along z are the same as for `contact_ious`.
+        the sum of the larger. Pixels and movements along z are the same as for `contact_iou`.
         """
         return self.compare_imprints(T_sensor_object, touch).imprint_ious
 
@@ -189,8 +171,9 @@ class Scene:
         geometry, wanted = touch.thin(pixels)
         if not touch.has_depths:
             return self._compare_masks(T_sensor_object, wanted, geometry, _estimate_press_error_m(touch) + freedom_m)
-        press_m = wanted.press_depth_m
-        made = dataclasses.replace(self, geometry=geometry).render_depths_to_compare(T_sensor_object, touch, freedom_m)
+        press_m, most_m = wanted.press_depth_m, freedom_m + _estimate_press_error_m(touch)
+        scene = dataclasses.replace(self, geometry=geometry)
+        made = scene.render_contact_depths(scene.bring_near_contact(T_sensor_object, most_m), press_m)
         if geometry.gel.is_elastic:
             # beside the contact, the object may be anywhere beyond the gel's surface
             pierced = made < touch.thin_surface(pixels).depth_m - np.float32(SLACK * press_m)

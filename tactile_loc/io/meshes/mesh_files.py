@@ -158,11 +158,11 @@ def find_symmetry(declared: str, mesh: TriangleMesh) -> SymmetryGroup:
     key = mesh.digest, declared
     if key not in _found:
         if declared == "auto":
-            group = detect_symmetry(mesh.vertices_m, mesh.faces)
+            group = detect_symmetry(mesh)
         else:
             group = SymmetryGroup.parse(declared, mesh.centroid_m)
             if not group.is_trivial:
-                require_symmetry(group, mesh.vertices_m, mesh.faces)
+                require_symmetry(group, mesh)
         _found[key] = group
     return _found[key]
 

@@ -167,7 +167,7 @@ def _press_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np
         return
     poses = model.grid.raise_level(deepest_m - press_m).T_sensor_object
     for start in range(0, len(poses), SHARD):
-        yield pressed.render_grid_depths(poses[start : start + SHARD])
+        yield pressed.render_contact_depths(poses[start : start + SHARD], grid=True)
 
 
 def _sample_grid(work: Workspace, scene: Scene, sampler: GridSampler, progress: Progress) -> None:
@@ -187,7 +187,7 @@ def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, p
             codes = work.load(name)
             enough = work.load(f"{name}-enough", keep=False)
             if codes is None or enough is None:
-                depths = scene.render_grid_depths(poses)
+                depths = scene.render_contact_depths(poses, grid=True)
                 enough = mark_contact(depths, scene, percent)
                 codes = _encode(depths[enough], scene.geometry.max_depth_m)
                 work.save_array(name, codes, packed=True)

@@ -161,7 +161,7 @@ class PlaceSearch:
         """Return the poses (K, 4, 4), metres, of the `count` most similar rotated places, and their scores (K,)."""
         if not touch.has_depths:
             return self._match_mask(touch, count)
-        compared_m = touch.geometry.gel.find_compared_m(touch.press_depth_m)
+        compared_m = touch.press_depth_m * touch.geometry.gel.compared_share
         matcher = self._banks.matcher(compared_m)
         pause_before(len(self.yaws_rad) * len(self.places) / SCORED)
         cut_m = min(self._banks.bank_press_m(compared_m), compared_m)

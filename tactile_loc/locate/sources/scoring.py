@@ -67,7 +67,7 @@ class GridScores:
         Touches of equal press depth are matched together. Adds the durations of encoding and matching to `times`, but
         not that of building banks.
         """
-        press_m = [self.bank_press_m(t.geometry.gel.find_compared_m(t.press_depth_m)) for t in touches]
+        press_m = [self.bank_press_m(t.press_depth_m * t.geometry.gel.compared_share) for t in touches]
         found: dict[int, Scores] = {}
         for pressed_m in sorted(set(press_m)):
             numbers = [number for number, m in enumerate(press_m) if m == pressed_m]

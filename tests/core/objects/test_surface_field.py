@@ -8,7 +8,7 @@ import trimesh
 
 from tactile_loc.core.objects import surface_field as module
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field, find_closest_on_triangle
+from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field, find_closest_point
 from tactile_loc.core.runtime.caches import ByteCache
 
 SOLIDS = {
@@ -98,9 +98,8 @@ def test_the_closest_point_is_right_in_every_region_of_a_triangle():
         (2.0, 2.0, -1.0): (1.0, 1.0, 0.0),
     }
     for point, nearest in cases.items():
-        np.testing.assert_allclose(
-            find_closest_on_triangle(np.array(point), corners[0], corners[1:] - corners[0]), nearest, atol=1e-12
-        )
+        found = find_closest_point(*point, 0, corners[:1], (corners[1:] - corners[0])[None])
+        np.testing.assert_allclose(found, nearest, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", SOLIDS)

@@ -8,7 +8,7 @@ from message_helpers import naming
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import rotation_about, rotation_angle
+from tactile_loc.core.geometry.rigid import rotation_angle
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.runtime.errors import SymmetryError
 
@@ -69,7 +69,6 @@ def test_two_axes_of_which_one_is_continuous_make_a_sphere(text: str) -> None:
 
 def test_all_rotations_of_a_sphere_are_equal() -> None:
     group, R = SymmetryGroup.parse("sphere", CENTRE_M), random_rotations(50)
-    assert not np.ptp(group.find_canonical(R), axis=0).any()
     assert not group.measure_least_angle(R[0], R).any()
     assert group.is_representative(R, 0.1).sum() == 1
     T = group.list_elements()
@@ -161,24 +160,6 @@ def test_a_continuous_axis_keeps_its_share_of_random_rotations(text: str, flips:
     share = math.radians(20.0) / (2.0 * math.pi) / flips
     kept = SymmetryGroup.parse(text, CENTRE_M).is_representative(random_rotations(4000), math.radians(20.0)).sum()
     assert abs(kept - 4000 * share) <= 3.0 * math.sqrt(4000 * share * (1.0 - share))
-
-
-@pytest.mark.parametrize("text", ["none", "z6*x2", "x4*y4", "zinf", "axis(1,2,3)inf*axis(-2,1,0)2"])
-def test_equivalent_rotations_have_the_same_canonical_form(text: str) -> None:
-    group = SymmetryGroup.parse(text, CENTRE_M)
-    R = random_rotations(100)
-    canonical = group.find_canonical(R)
-    for S in group.list_elements(math.radians(50.0))[:, :3, :3]:
-        np.testing.assert_allclose(group.find_canonical(R @ S), canonical, atol=1e-9)
-    fine = group.list_elements(math.radians(0.5))[:, :3, :3]
-    nearest = np.einsum("nji,njk,mik->nm", R, canonical, fine).max(axis=1)
-    assert np.all(nearest > 1.0 + 2.0 * math.cos(math.radians(0.3)))
-
-
-def test_different_orbits_have_different_canonical_forms() -> None:
-    group, R = SymmetryGroup.parse("z6", CENTRE_M), random_rotations(50)
-    turned = group.find_canonical(R @ rotation_about((0, 0, 1), math.radians(30.0)))
-    assert np.all(np.abs(turned - group.find_canonical(R)).max(axis=(1, 2)) > 0.05)
 
 
 @pytest.mark.parametrize("text", ["none", "z6", "x2*y2", "zinf", "axis(1,1,0)inf*z2"])

@@ -17,7 +17,7 @@ from tactile_loc.core.places.places import (
     make_patches,
     split_patches,
 )
-from tactile_loc.core.places.rotated_patches import measure_excess, rotate_patches
+from tactile_loc.core.places.rotated_patches import TouchBounds, rotate_patches
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
@@ -89,9 +89,11 @@ def test_places_within_the_bounds_have_no_excess_and_others_the_sum_of_squares(p
     most_m = 2e-4
     out_m = np.maximum(low_m[yaws] - heights_m[numbers], heights_m[numbers] - high_m[yaws])
     wanted = np.square(np.clip(out_m, 0, most_m)).sum(axis=(1, 2))
-    assert measure_excess(places, numbers, yaws, low_m, high_m, most_m) == pytest.approx(wanted, rel=1e-4)
+    found = TouchBounds(np.eye(4), low_m, high_m, most_m).measure_excess(places, numbers, yaws)
+    assert found == pytest.approx(wanted, rel=1e-4)
     own_m = heights_m[numbers].astype(np.float32)
-    assert measure_excess(places, numbers, np.arange(4), own_m, own_m, most_m) == pytest.approx(0, abs=1e-14)
+    own = TouchBounds(np.eye(4), own_m, own_m, most_m)
+    assert own.measure_excess(places, numbers, np.arange(4)) == pytest.approx(0, abs=1e-14)
 
 
 def test_unobserved_pixels_are_not_seen_in_rotated_patches(places):

@@ -138,7 +138,10 @@ def drawings(camera):
 @pytest.mark.parametrize("press_m", [0.002, 0.0012])
 def test_parallel_rays_give_equal_depths_for_both_drawings(press_m):
     pressed, T, paper = drawings("orthographic")
-    for draw in (lambda scene: scene.render_contact_depths(T, press_m), lambda scene: scene.render_grid_depths(T)):
+    for draw in (
+        lambda scene: scene.render_contact_depths(T, press_m),
+        lambda scene: scene.render_contact_depths(T, grid=True),
+    ):
         np.testing.assert_allclose(draw(paper), draw(pressed), atol=1e-8)
 
 
@@ -148,7 +151,9 @@ def test_the_paper_drawing_shows_the_object_at_first_contact():
     just, _ = touching.bring_to_contact(T)
     assert just[0, 2, 3] == pytest.approx(T[0, 2, 3] + pressed.geometry.indentation_m)
     np.testing.assert_array_equal(paper.render_contact_depths(T), touching.render_contact_depths(just))
-    np.testing.assert_array_equal(paper.render_grid_depths(T), touching.render_grid_depths(just))
+    np.testing.assert_array_equal(
+        paper.render_contact_depths(T, grid=True), touching.render_contact_depths(just, grid=True)
+    )
     seen, drawn = (scene.render_contact_depths(T)[0] < np.float32(0.002) for scene in (pressed, paper))
     ratio = np.sqrt(np.count_nonzero(drawn) / np.count_nonzero(seen))
     assert 23 / 25 - 0.03 < ratio < 0.99, "the outline is up to 8 % smaller"

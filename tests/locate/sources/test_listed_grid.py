@@ -71,7 +71,7 @@ def build(scene: Scene, sampler: FaceGrid, store: StageStore) -> ObjectPoseModel
 def test_stored_shapes_decode_to_the_rendered_ones_and_are_cut_for_lighter_presses(make_pin_scene, sampler, own_store):
     scene = make_pin_scene()
     model = build(scene, sampler, own_store)
-    rendered = scene.render_grid_depths(model.grid.T_sensor_object)
+    rendered = scene.render_contact_depths(model.grid.T_sensor_object, grid=True)
     decoded = np.concatenate(list(model.shapes.shards()))
     assert decoded.dtype == np.float32
     assert decoded.shape == (model.size, *scene.geometry.shape)
@@ -121,7 +121,7 @@ def test_poses_and_shapes_stay_together(make_pin_scene, own_store):
     model = build(scene, FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=9.0)), own_store)
     assert 0 in model.shapes.artifact.load_json("sizes")
     assert all(len(depths) for depths in model.shapes.shards()), "the encoder got an empty batch"
-    rendered = scene.render_grid_depths(model.grid.T_sensor_object)
+    rendered = scene.render_contact_depths(model.grid.T_sensor_object, grid=True)
     np.testing.assert_allclose(np.concatenate(list(model.shapes.shards())), rendered, atol=1e-7)
     for index in range(0, model.size, 7):
         np.testing.assert_allclose(model.shapes.shape(index, 0.002), rendered[index], atol=1e-7)
@@ -178,7 +178,9 @@ def test_a_bank_of_a_lighter_press_equals_the_rendered_shapes(make_pin_scene, sa
     model, press_m = build(scene, sampler, own_store), 0.0007
     bank = build_bank(model, scene, PixelEncoder(), press_m, own_store, Progress())
     light = scene.press(press_m)
-    depths = light.render_grid_depths(model.grid.raise_level(scene.geometry.max_depth_m - press_m).T_sensor_object)
+    depths = light.render_contact_depths(
+        model.grid.raise_level(scene.geometry.max_depth_m - press_m).T_sensor_object, grid=True
+    )
     wrong = np.abs(bank - PixelEncoder().encode(depths, press_m, light.geometry)) > 1e-4
     assert wrong.mean() < 1e-4, "only depths equal to the press depth up to rounding may differ"
 
