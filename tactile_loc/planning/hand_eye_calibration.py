@@ -7,7 +7,6 @@ two steps are repeated until the poses converge.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -234,8 +233,6 @@ def _refine(localizer: Localizer, given: FlangeTouches, guess: HandEyeStart, bes
     measured = registration.measure(X, Y)
     fit = fit_hand_eye(given.T_base_flange[kept], measured.T_sensor_object[kept], measured.covariances[kept], X, Y)
     kept = kept & registration.find_trusted(X, Y, best_ious)
-    # registration absorbs part of the errors, so the typical residual gives the variance
-    fit = dataclasses.replace(fit, variance=estimate_typical_variance(fit.chi2))
     return HandEyeCalibration(given, guess, fit, kept, measured, registration.compute_imprint_ious(X, Y), best_ious)
 
 

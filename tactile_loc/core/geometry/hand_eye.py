@@ -30,7 +30,6 @@ MEDIAN_6 = 5.348  # median of a chi-squared variable with six degrees of freedom
 TRUSTED = 22.5  # 99.9 % quantile of the same variable; a touch with a larger value contradicts the others
 STEPS, STILL = 50, 1e-10  # largest number of Gauss-Newton steps; a shorter step, in UNIT, is the last one
 UNIT = np.array([1e-3] * 3 + [1e-2] * 3)  # 1 mm, and the rotation (rad) that moves a point at 100 mm by 1 mm
-KNOWN = np.array([3e-3] * 3 + [0.3] * 3)  # m and rad; a touch with larger errors determines nothing
 LEAST_INFORMATION = 1e-8  # least information about a twist in UNIT; it corresponds to 10 m
 ALIKE = 1e-9
 
@@ -40,16 +39,18 @@ class HandEyeFit:
     """The X and Y (4, 4), metres, that explain N touches best. `chi2` (N,), unitless, are the touches' squared errors.
 
     `information` (6, 6) is the information about a twist of X, along the sensor's axes at the origin of its frame. It
-    comes from the touches' covariances. The residuals have `freedom` degrees of freedom. `variance` is the ratio of the
-    squared residuals to the size that the covariances predict: 1 if the covariances are right.
+    comes from the touches' covariances.
     """
 
     T_flange_sensor: Floats
     T_base_object: Floats
     chi2: Floats
     information: Floats
-    freedom: int
-    variance: float
+
+    @property
+    def variance(self) -> float:
+        """The typical ratio of the squared residuals to the size that the touches' covariances predict."""
+        return estimate_typical_variance(self.chi2)
 
     @property
     def covariance(self) -> Floats:
@@ -112,7 +113,7 @@ def fit_hand_eye(
 
     The poses of the touches (N, 4, 4) are in metres, with `covariances` (N, 6, 6) as in RefinedPose. If `robust` is
     True, touches that contradict the others get lower weights, w = 1 / (1 + chi2 / c)^2 (Geman and McClure). Then
-    `information` includes these weights, but `variance` does not.
+    `information` includes these weights.
     """
     weights_of = _weigh if robust else np.ones_like
     X, Y = T_flange_sensor, T_base_object
@@ -126,10 +127,9 @@ def fit_hand_eye(
             break
     H, _, chi2 = _build_equations(T_base_flange, T_sensor_object, weighing, X, Y)
     total = (weights_of(chi2)[:, None, None] * H).sum(axis=0)
-    freedom, variance = _estimate_variance(chi2, covariances, total)
     # the Schur complement is the information of X for any Y
     mount = np.asarray(total[:6, :6] - total[:6, 6:] @ np.linalg.solve(_damp(total[6:, 6:]), total[6:, :6]))
-    return HandEyeFit(X, Y, chi2, mount / UNIT / UNIT[:, None], freedom, variance)
+    return HandEyeFit(X, Y, chi2, mount / UNIT / UNIT[:, None])
 
 
 def _build_equations(F: Poses, S: Poses, weighing: Floats, X: Floats, Y: Floats) -> tuple[Floats, Floats, Floats]:
@@ -156,17 +156,6 @@ def _weigh(chi2: Floats) -> Floats:
 def _damp(H: Floats) -> Floats:
     """Add a little to the information's diagonal, so that undetermined directions stay unchanged."""
     return H + np.diag(1e-9 * np.diag(H) + LEAST_INFORMATION)
-
-
-def _estimate_variance(chi2: Floats, covariances: Floats, information: Floats) -> tuple[int, float]:
-    """Return the residuals' degrees of freedom and variance factor.
-
-    Only directions with errors below KNOWN count.
-    """
-    told = np.linalg.eigvalsh(covariances / KNOWN / KNOWN[:, None]) < 1.0
-    found = np.linalg.eigvalsh(information) > np.min(UNIT / KNOWN) ** 2
-    freedom = max(1, int(told.sum() - found.sum()))
-    return freedom, float(chi2.sum() / freedom)
 
 
 def measure_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:

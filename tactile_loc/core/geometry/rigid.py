@@ -76,23 +76,17 @@ def cross_matrix(v: Array) -> Array:
     return np.asarray(K - K.swapaxes(-1, -2))
 
 
-def align_to_z(direction: ArrayLike) -> Array:
-    """Return the smallest rotation (3, 3) that maps the unitless direction (3,) to +z."""
-    d = np.asarray(direction, float) / np.linalg.norm(direction)
-    axis = np.cross(d, [0.0, 0.0, 1.0])
-    if np.linalg.norm(axis) < 1e-12:
-        return np.eye(3) if d[2] > 0 else np.diag([1.0, -1.0, -1.0])
-    return rotation_about(axis, np.arctan2(np.linalg.norm(axis), d[2]))
-
-
-def align_all_to_z(directions: Array) -> Array:
-    """Return what `align_to_z` returns, (N, 3, 3), for many unitless directions (N, 3), up to rounding errors.
+def align_to_z(directions: ArrayLike) -> Array:
+    """Return the smallest rotations (..., 3, 3) that map unitless directions (..., 3) to +z.
 
     R = I + [v]x + [v]x^2 / (1 + z) for v = d x z, with the unit direction d and its last component z.
     """
-    x, y, z = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).T
-    down = z < -1 + 1e-12  # the smallest rotation is a half turn about any horizontal axis
-    k = 1 / np.where(down, 1.0, 1 + z)
+    d = np.asarray(directions, float)
+    x, y, z = np.moveaxis(d / np.linalg.norm(d, axis=-1, keepdims=True), -1, 0)
+    across = x * x + y * y
+    down = (across < 1e-24) & (z < 0)  # the smallest rotation is a half turn about any horizontal axis
+    near = z < -0.9  # 1 + z would lose digits
+    k = np.where(near, 1 - z, 1.0) / np.where(down, 1.0, np.where(near, across, 1 + z))
     rows = [[1 - x * x * k, -x * y * k, -x], [-x * y * k, 1 - y * y * k, -y], [x, y, z]]
     R = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
     R[down] = np.diag([1.0, -1.0, -1.0])

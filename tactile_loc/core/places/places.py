@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, align_all_to_z, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform, rotation_about
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
@@ -52,7 +52,7 @@ class Places:
         The rotation that maps the direction to +z is the smallest one.
         """
         position_m, direction = np.split(placements.astype(float), 2, axis=1)
-        R = align_all_to_z(direction)
+        R = align_to_z(direction)
         return cls(make_transform(R, -np.einsum("nij,nj->ni", R, position_m)), patches)
 
     def __len__(self) -> int:

@@ -15,19 +15,12 @@ V = TypeVar("V")
 class ByteCache(Generic[K, V]):
     """Keeps the values used last, as long as they need at most `most_bytes` bytes together.
 
-    `measure` returns the bytes of a value. If they change, call `keep` again. `release` is called with a value that is
-    dropped. The `fewest` values used last are kept even if they need more than `most_bytes`. Several threads may use a
-    cache.
+    `measure` returns the bytes of a value. If they change, call `keep` again. The `fewest` values used last are kept
+    even if they need more than `most_bytes`. Several threads may use a cache.
     """
 
-    def __init__(
-        self,
-        most_bytes: int,
-        measure: Callable[[V], int],
-        release: Callable[[V], object] = lambda value: None,
-        fewest: int = 1,
-    ) -> None:
-        self.most_bytes, self.measure, self.release, self.fewest = most_bytes, measure, release, fewest
+    def __init__(self, most_bytes: int, measure: Callable[[V], int], fewest: int = 1) -> None:
+        self.most_bytes, self.measure, self.fewest = most_bytes, measure, fewest
         self._kept: dict[K, tuple[V, int]] = {}  # values with their bytes; the last used comes last
         self._total = 0
         self._choosing = Lock()
@@ -49,16 +42,12 @@ class ByteCache(Generic[K, V]):
 
     def keep(self, key: K, value: V) -> None:
         """Keep a value that has just been used, and drop the values used least recently until the others fit."""
-        size, dropped = self.measure(value), []
+        size = self.measure(value)
         with self._choosing:
             self._total += size - self._kept.pop(key, (value, 0))[1]
             self._kept[key] = value, size
             while self._total > self.most_bytes and len(self._kept) > self.fewest:
-                oldest, freed = self._kept.pop(next(iter(self._kept)))
-                self._total -= freed
-                dropped.append(oldest)
-        for oldest in dropped:
-            self.release(oldest)
+                self._total -= self._kept.pop(next(iter(self._kept)))[1]
 
 
 def find_user_cache() -> Path:

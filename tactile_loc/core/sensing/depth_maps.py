@@ -96,12 +96,3 @@ def find_contact(mask: NDArray[Any], name: str) -> NDArray[np.bool_]:
             f"({FULL} in pictures) in contact and 0 elsewhere"
         )
     return np.asarray(mask != 0)
-
-
-def require_rigid_gel(gel: Gel, name: str) -> None:
-    """Raise TouchError if a sensor's gel is elastic, because the depth at the outline is then unknown."""
-    if gel.is_elastic:
-        raise TouchError(
-            f"{name} is a contact mask, and masks are located only with a rigid gel; set the sensor's gel to 'rigid', "
-            "or give a depth map"
-        )

@@ -141,17 +141,13 @@ class GelSolver:
         moved: Float32 = fft.irfft2(spectrum, self.padded, axes=(-2, -1))
         return moved[..., : self.shape[0], : self.shape[1]]
 
-    def press(self, reach_m: Float32, iterations: int = ITERATIONS, pressure: Float32 | None = None) -> Contact:
-        """Press rigid objects with reaches (N, H, W), metres, into the gel; where a reach is -inf, nothing touches.
-
-        `pressure` (N, H, W) is a guess to start from.
-        """
+    def press(self, reach_m: Float32, iterations: int = ITERATIONS) -> Contact:
+        """Press rigid objects with reaches (N, H, W), metres, into the gel; where a reach is -inf, nothing touches."""
         d = np.maximum(np.asarray(reach_m, np.float32), FAR_M)
-        p: NDArray[Any] = np.maximum(d, np.float32(0)) if pressure is None else pressure
+        p: NDArray[Any] = np.maximum(d, np.float32(0))
         u: NDArray[Any] = self.displace(p)
-        if pressure is None:  # the best multiple of the reach
-            k = _sum(p * p) / np.maximum(_sum(p * u), np.float32(1e-30))
-            p, u = p * k, u * k
+        k = _sum(p * p) / np.maximum(_sum(p * u), np.float32(1e-30))  # the best multiple of the reach
+        p, u = p * k, u * k
         along: NDArray[Any] = np.zeros_like(p)
         last: NDArray[Any] = np.ones_like(_sum(p))
         keep: NDArray[Any] = np.zeros_like(last)

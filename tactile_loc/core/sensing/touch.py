@@ -25,7 +25,6 @@ from tactile_loc.core.sensing.depth_maps import (
     has_flat_top,
     is_deepest_around,
     require_kind,
-    require_rigid_gel,
 )
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
@@ -227,7 +226,11 @@ class Touch:
         it does not fit the sensor, if all observed pixels are in contact, or if the sensor's gel is elastic.
         """
         geometry = sensor if isinstance(sensor, SensorGeometry) else sensor.geometry
-        require_rigid_gel(geometry.gel, name)
+        if geometry.gel.is_elastic:  # the depth at the outline is unknown
+            raise TouchError(
+                f"{name} is a contact mask, and masks are located only with a rigid gel; set the sensor's gel to "
+                "'rigid', or give a depth map"
+            )
         contact = find_contact(np.asarray(mask), name)
         press_m, std_m = assume_press(geometry.max_depth_m, press_depth_m, press_std_m)
         _require_in_range(press_m, geometry.max_depth_m, name)

@@ -71,7 +71,6 @@ def test_the_fit_converges_to_the_truth(problem):
     found = fitted(problem, np.zeros((10, 6)))
     np.testing.assert_allclose(found.T_flange_sensor, problem[0], atol=1e-9)
     np.testing.assert_allclose(found.T_base_object, problem[1], atol=1e-9)
-    assert found.freedom == 10 * 6 - 12
 
 
 def test_the_covariance_matches_the_errors_for_a_wrong_noise_level(problem, rng):
@@ -81,8 +80,9 @@ def test_the_covariance_matches_the_errors_for_a_wrong_noise_level(problem, rng)
         e = compute_pose_errors(problem[0], found.T_flange_sensor)
         nees.append(e @ np.linalg.solve(found.covariance, e))
         variances.append(found.variance)
-    assert np.mean(nees) == pytest.approx(6 * 48 / 46, rel=0.25)
-    assert np.mean(variances) == pytest.approx(4.0, rel=0.1)
+    left = 48 / 60  # the fit of twelve numbers absorbs the rest of the residuals
+    assert np.mean(nees) == pytest.approx(6 / left, rel=0.25)
+    assert np.mean(variances) == pytest.approx(4.0 * left, rel=0.1)
 
 
 def test_a_robust_fit_ignores_a_wrong_touch(problem, rng):
@@ -104,7 +104,6 @@ def test_a_direction_without_information_does_not_affect_the_rest(problem):
     loose = np.repeat(np.diag([9e-4, *STD[1:] ** 2])[None], 10, axis=0)  # a touch has no information along x
     found = fit_hand_eye(F, S, loose, X @ make_translation([1e-3, 0, 0]), Y)
     np.testing.assert_allclose(found.T_flange_sensor, X, atol=1e-6)
-    assert found.freedom == 10 * 5 - 12
 
 
 def test_the_typical_variance_follows_the_chi_squared_distribution():
@@ -121,7 +120,6 @@ def test_rotations_about_one_axis_leave_the_shift_along_it_unknown(problem):
     axis = np.array([2.0, -3.0, 6.0]) / 7
     F = make_transform(F[0, :3, :3] @ rotation_about(axis, np.linspace(-1.5, 1.5, 10)), F[:, :3, 3])
     found = fit_hand_eye(F, predict(F, X, Y), np.repeat(COVARIANCE[None], 10, axis=0), X, Y)
-    assert found.freedom == 10 * 6 - 11
     std_m = np.sqrt(np.linalg.eigvalsh(found.information)[0]) ** -1
     assert std_m > 1.0, "the shift is practically unknown"
     values, vectors = np.linalg.eigh(found.information[:3, :3])
@@ -137,14 +135,6 @@ def test_rotations_about_one_axis_are_detected():
     assert second < 1e-7
     assert abs(axes[0] @ axis) == pytest.approx(1.0)
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
-
-
-def test_flange_and_sensed_motion_have_the_same_screw(problem, rng):
-    _, _, F, S = problem
-    agree = screws_agree(F[:1], F[1:], S[:1], S[1:], 1e-6, 1e-6)
-    other = screws_agree(F[:1], F[1:], S[:1], poses(9, 0.03, rng), 1e-2, 1e-3)
-    assert agree.all()
-    assert not other.any()
 
 
 def screw(axis: list[float], angle_rad: float, slide_m: float) -> np.ndarray:

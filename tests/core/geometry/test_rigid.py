@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from tactile_loc.core.geometry.lie import move_covariance, rotate_covariance
 from tactile_loc.core.geometry.pose_words import format_pose_words
 from tactile_loc.core.geometry.rigid import (
-    align_all_to_z,
     align_to_z,
     axis_angle,
     axis_times_sine,
@@ -43,11 +42,6 @@ def test_a_transform_rotates_and_then_translates():
     np.testing.assert_allclose(make_translation(t) @ [1, 0, 0, 1], [2, 2, 3, 1])
 
 
-def test_make_transform_broadcasts_rotations_and_translations():
-    assert make_transform(np.eye(3), np.zeros((4, 5, 3))).shape == (4, 5, 4, 4)
-    assert make_transform(np.zeros((4, 1, 3, 3)), np.zeros((5, 3))).shape == (4, 5, 4, 4)
-
-
 def test_invert_gives_the_matrix_inverse(transforms):
     np.testing.assert_allclose(invert(transforms) @ transforms, np.broadcast_to(np.eye(4), (2, 3, 4, 4)), atol=1e-12)
     np.testing.assert_allclose(invert(transforms), np.linalg.inv(transforms), atol=1e-12)
@@ -73,11 +67,6 @@ def test_rotation_about_agrees_with_scipy_for_any_length_of_axis():
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 1e-4, 1.0, np.pi - 1e-7, np.pi])
 def test_rotation_angle_is_accurate_near_zero_and_pi(angle_rad):
     assert rotation_angle(rotation_about([1.0, 2.0, -1.0], angle_rad)) == pytest.approx(angle_rad, rel=1e-6, abs=1e-15)
-
-
-def test_rotation_angle_has_no_sign():
-    angles = np.array([-1.0, 2.0, 4.0])
-    np.testing.assert_allclose(rotation_angle(rotation_about([0, 1, 0], angles)), [1.0, 2.0, 2 * np.pi - 4.0])
 
 
 def test_the_axis_has_the_length_of_the_sine():
@@ -115,13 +104,13 @@ def test_a_rotated_covariance_describes_the_rotated_error():
     np.testing.assert_allclose(rotate_covariance(one_error(shift, turn), R), one_error(R @ shift, R @ turn), atol=1e-14)
 
 
-@pytest.mark.parametrize("direction", [[0, 0, 1], [0, 0, -2], [1, 0, 0], [1e-9, 0, -1], [-0.3, 0.8, -0.1]])
-def test_align_to_z_rotates_by_the_smallest_angle(direction):
-    d = np.array(direction) / np.linalg.norm(direction)
-    R = align_to_z(direction)
+def test_align_to_z_rotates_by_the_smallest_angle():
+    directions = np.array([[0, 0, 1], [0, 0, -2], [1, 0, 0], [1e-9, 0, -1], [1e-4, 0, -1], [-0.3, 0.8, -0.1]])
+    d, R = directions / np.linalg.norm(directions, axis=1, keepdims=True), align_to_z(directions)
     assert is_rigid(make_transform(R, np.zeros(3)))
-    np.testing.assert_allclose(R @ d, [0, 0, 1], atol=1e-9)
-    assert rotation_angle(R) == pytest.approx(np.arccos(d[2]), abs=1e-7)
+    np.testing.assert_allclose((R @ d[..., None])[..., 0], np.tile([0, 0, 1], (len(d), 1)), atol=1e-9)
+    np.testing.assert_allclose(rotation_angle(R), np.arccos(d[:, 2]), atol=1e-7)
+    np.testing.assert_array_equal(align_to_z(directions[5]), R[5])
 
 
 def test_quaternions_are_unit_and_give_back_the_rotation():
@@ -144,24 +133,6 @@ def test_random_rotations_are_uniform():
     # Haar measure: the angle's distribution function is (theta - sin theta) / pi.
     for theta in (0.5, 1.5, 2.5):
         assert (angle < theta).mean() == pytest.approx((theta - np.sin(theta)) / np.pi, abs=0.01)
-
-
-def spoilt(T: np.ndarray, row: int, column: int, value: float) -> np.ndarray:
-    T = T.copy()
-    T[1, row, column] = value
-    return T
-
-
-def test_is_rigid_rejects_other_matrices():
-    T = make_transform(draw_rotations(3, np.random.default_rng(6)), np.zeros(3))
-    assert is_rigid(T)
-    assert is_rigid(T[0])
-    assert not is_rigid(spoilt(T, 0, 0, T[1, 0, 0] + 1e-3))
-    assert not is_rigid(spoilt(T, 0, 3, np.nan))
-    assert not is_rigid(spoilt(T, 0, 3, np.inf))
-    assert not is_rigid(spoilt(T, 3, 0, 0.1))
-    assert not is_rigid(T @ np.diag([1.0, 1.0, -1.0, 1.0])), "a mirror"
-    assert not is_rigid(T @ np.diag([1.1, 1.1, 1.1, 1.0])), "a scale"
 
 
 @pytest.mark.parametrize("turn", [0.0, 1.0, np.pi])
@@ -214,6 +185,7 @@ TURNED = make_transform(rotation_about([1, 2, 3], 1.0), [0.4, -0.1, 0.2])
     ],
 )
 def test_each_fault_of_a_pose_is_named(T, words):
+    assert not is_rigid(np.stack([np.eye(4), T]))
     with pytest.raises(ConfigError, match=naming("the pose", words)):
         require_rigid(T, "the pose")
 
@@ -259,11 +231,3 @@ def test_small_negative_numbers_are_written_as_zero():
     T = make_transform(rotation_about([1e-9, -1e-9, 1], 0.5), [-1e-9, 0.001, -2e-6])
     assert format_pose(T) == ["0.00", "1.00", "0.00", "28.6", "(0.000, 0.000, 1.000)"]
     assert format_pose_words(T).place == "0.0, 1.0, 0.0"
-
-
-def test_aligning_many_directions_agrees_with_aligning_each() -> None:
-    rng = np.random.default_rng(2)
-    poles = [[0, 0, 1], [0, 0, -1], [1e-7, 0, 1], [1e-4, 0, -1], [1, 0, 0]]
-    directions = np.concatenate([rng.normal(size=(200, 3)), poles])
-    expected = np.stack([align_to_z(one) for one in directions])
-    np.testing.assert_allclose(align_all_to_z(directions), expected, atol=1e-6)

@@ -53,10 +53,7 @@ def test_the_elements_are_closed_under_product_and_inverse(text: str) -> None:
 @pytest.mark.parametrize("text", ["none", "z6*x2", "zinf*x2", "x2*y2", "axis(0.58,0.58,0.58)3", "axis(1,-1,0.25)inf"])
 def test_parsing_and_writing_keep_the_text(text: str) -> None:
     assert str(SymmetryGroup.parse(text, CENTRE_M)) == text
-
-
-def test_parsing_ignores_case_and_spaces() -> None:
-    assert str(SymmetryGroup.parse(" Z6 * axis( 1, 1.0 ,0 )2 ", CENTRE_M)) == "z6*axis(1,1,0)2"
+    assert str(SymmetryGroup.parse(f" {text.upper()} ".replace("*", " * "), CENTRE_M)) == text
 
 
 @pytest.mark.parametrize("text", ["sphere", "zinf*xinf", "zinf*x4", "zinf*axis(1,0,1)2", "axis(1,2,3)inf*z2"])
@@ -131,13 +128,6 @@ def test_sampling_steps_must_be_positive() -> None:
         group.is_representative(random_rotations(3))
 
 
-@pytest.mark.parametrize(("text", "order"), ORDERS.items())
-def test_representatives_are_the_expected_share_of_random_rotations(text: str, order: int) -> None:
-    kept = SymmetryGroup.parse(text, CENTRE_M).is_representative(random_rotations(2000)).sum()
-    expected = 2000 / order
-    assert abs(kept - expected) <= 3.0 * math.sqrt(expected * (1.0 - 1.0 / order))
-
-
 @pytest.mark.parametrize("text", ORDERS)
 def test_every_rotation_has_exactly_one_representative(text: str) -> None:
     group = SymmetryGroup.parse(text, CENTRE_M)
@@ -153,13 +143,6 @@ def test_an_evenly_sampled_continuous_orbit_has_one_representative(text: str, co
     orbits = random_rotations(200)[:, None] @ group.list_elements(step_rad)[None, :, :3, :3]
     kept = group.is_representative(orbits.reshape(-1, 3, 3), step_rad).reshape(200, -1)
     np.testing.assert_array_equal(kept.sum(axis=1), 1)
-
-
-@pytest.mark.parametrize(("text", "flips"), [("zinf", 1), ("zinf*x2", 2)])
-def test_a_continuous_axis_keeps_its_share_of_random_rotations(text: str, flips: int) -> None:
-    share = math.radians(20.0) / (2.0 * math.pi) / flips
-    kept = SymmetryGroup.parse(text, CENTRE_M).is_representative(random_rotations(4000), math.radians(20.0)).sum()
-    assert abs(kept - 4000 * share) <= 3.0 * math.sqrt(4000 * share * (1.0 - share))
 
 
 @pytest.mark.parametrize("text", ["none", "z6", "x2*y2", "zinf", "axis(1,1,0)inf*z2"])

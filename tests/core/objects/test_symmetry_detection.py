@@ -245,15 +245,6 @@ def test_detection_does_not_depend_on_the_tessellation(name: str) -> None:
     assert str(detect_symmetry(subdivided(mesh, 3))) == text
 
 
-def test_an_uneven_tessellation_keeps_the_centre() -> None:
-    box = BODIES["box"][0]
-    fine, coarse = subdivided(TriangleMesh(box.vertices_m, box.faces[:5]), 4), box.faces[5:]
-    faces = np.concatenate([coarse, fine.faces + len(box.vertices_m)])
-    group = detect_symmetry(TriangleMesh(np.concatenate([box.vertices_m, fine.vertices_m]), faces))
-    assert str(group) == "x2*y2"
-    np.testing.assert_allclose(group.centre_m, (0, 0, 0.02), atol=1e-9)
-
-
 def test_a_few_stray_triangles_do_not_hide_a_symmetry() -> None:
     body, stray = cylinder(), np.array([[0.004, 0, 0.01], [0.0045, 0, 0.01], [0.004, 0.0005, 0.01]])
     faces = np.concatenate([body.faces, len(body.vertices_m) + np.arange(3)[None]])
@@ -310,20 +301,6 @@ def test_a_symmetry_that_the_surface_contradicts_is_refused(text: str, name: str
     mesh = BODIES[name][0]
     with pytest.raises(SymmetryError, match=f"'{re.escape(text)}'"):
         require_symmetry(SymmetryGroup.parse(text, mesh.centroid_m), mesh)
-
-
-def test_distances_to_a_box_are_exact() -> None:
-    probe = SurfaceProbe(prism(rectangle(20, 20), 20))
-    points_m = np.array([[0, 0, 0], [0.012, 0, 0], [0.013, 0.014, 0], [0.011, 0.012, 0.012], [0.01, 0.003, 0.004]])
-    expected_m = [0.01, 0.002, 0.005, 0.003, 0.0]
-    np.testing.assert_allclose(probe.distance_m(points_m, 256), expected_m, atol=1e-12)
-
-
-def test_facet_errors_are_estimated_on_curves_and_not_at_sharp_edges() -> None:
-    sagitta_m = 0.01 * (1.0 - math.cos(math.pi / 16))
-    assert SurfaceProbe(cylinder(16)).many.open_m.max() == pytest.approx(1.5 * sagitta_m)
-    assert SurfaceProbe(cylinder(16)).many.open_m.min() == 0.0, "on its flat ends"
-    assert SurfaceProbe(prism(circle(12), 30)).many.open_m.max() == 0.0
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""A cache keeps the values used last within a number of bytes, and releases the others."""
+"""A cache keeps the values used last within a number of bytes."""
 
 from __future__ import annotations
 
@@ -7,49 +7,41 @@ from threading import Thread
 from tactile_loc.core.runtime.caches import ByteCache
 
 
-def make_cache(most_bytes: int) -> tuple[ByteCache[str, bytearray], list[bytes]]:
-    released: list[bytes] = []
-    return ByteCache(most_bytes, len, lambda value: released.append(bytes(value))), released
-
-
 def test_the_value_used_least_recently_is_dropped_first():
-    cache, released = make_cache(6)
-    for key in "abab":
-        cache.get(key, lambda key=key: bytearray(3 * key.encode()))
-    assert (len(cache), cache.nbytes, released) == (2, 6, [])
-    cache.get("a", bytearray)
-    cache.get("c", lambda: bytearray(b"ccc"))
-    assert released == [b"bbb"]
-    made = []
-    assert cache.get("b", lambda: made.append("b") or bytearray(b"new")) == b"new"
-    assert made == ["b"]
-    assert released == [b"bbb", b"aaa"]
-    assert cache.nbytes == 6
+    cache, made = ByteCache(6, len), []
+
+    def use(key: str) -> bytearray:
+        return cache.get(key, lambda: made.append(key) or bytearray(3 * key.encode()))
+
+    for key in "ababac":
+        assert use(key) == bytearray(3 * key.encode())
+        assert cache.nbytes == 3 * min(2, len(set(made)))
+    assert made == ["a", "b", "c"]
+    use("a")
+    use("b")
+    assert made == ["a", "b", "c", "b"]
+    assert (len(cache), cache.nbytes) == (2, 6)
 
 
 def test_a_value_that_has_grown_displaces_others():
-    cache, released = make_cache(6)
+    cache = ByteCache(6, len)
     first = cache.get("a", lambda: bytearray(b"a"))
     cache.get("b", lambda: bytearray(b"b"))
-    first.extend(b"aaaa")
-    cache.keep("a", first)
-    assert (released, cache.nbytes) == ([], 6)
-    first.extend(b"a")
-    cache.keep("a", first)
-    assert (released, cache.nbytes) == ([b"b"], 6)
+    for grown, count in ((b"aaaa", 2), (b"a", 1)):
+        first.extend(grown)
+        cache.keep("a", first)
+        assert (len(cache), cache.nbytes) == (count, 6)
 
 
 def test_the_value_in_use_stays_even_if_it_is_too_large():
-    cache, released = make_cache(2)
-    cache.get("a", lambda: bytearray(b"a"))
-    cache.get("b", lambda: bytearray(b"bbbb"))
-    assert (released, cache.nbytes, len(cache)) == ([b"a"], 4, 1)
-    cache.get("c", lambda: bytearray(b"c"))
-    assert (released, cache.nbytes) == ([b"a", b"bbbb"], 1)
+    cache = ByteCache(2, len)
+    for value, left in ((b"a", 1), (b"bbbb", 4), (b"c", 1)):
+        cache.get(str(value), lambda value=value: bytearray(value))
+        assert (cache.nbytes, len(cache)) == (left, 1)
 
 
 def test_the_sum_stays_right_with_several_threads():
-    cache, _ = make_cache(50)
+    cache = ByteCache(50, len)
 
     def use(start: int) -> None:
         for number in range(2000):

@@ -200,20 +200,6 @@ def test_kernel_modules_take_names_from_kernel_modules_alone():
     assert foreign == {}
 
 
-def test_foreign_names_are_found():
-    text = """
-from tactile_loc.a import FAR, NEAR, help
-from tactile_loc.kernels import turn
-BOTH = 2 * NEAR
-@njit
-def kernel(x):
-    return help(turn(x + BOTH))
-def other(x):
-    return FAR
-"""
-    assert find_foreign_names(text, {"tactile_loc.kernels"}) == {"NEAR", "help"}
-
-
 def test_the_digest_covers_the_package_of_a_file_and_the_house(tmp_path):
     (package := tmp_path / "package" / "inner").mkdir(parents=True)
     for folder in (package, package.parent):

@@ -112,19 +112,6 @@ def test_walls_face_out_of_the_contact(camera):
             assert (inside[rows, columns] == expected).mean() > 0.97
 
 
-@pytest.mark.parametrize("degrees", [0, 20, 45, 70])
-def test_walls_of_an_oblique_edge_are_perpendicular_to_it(degrees):
-    camera = SensorGeometry("orthographic", 90, 70, 4000.0, 4000.0, 41.0, 36.5, 0.021, 0.002)
-    direction = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
-    x, y = np.meshgrid(np.arange(90) - 44.8, np.arange(70) - 34.6)
-    shape = ContactShape(np.where(x * direction[0] + y * direction[1] < 0, 0.0, 0.002).astype(np.float32), 0.002)
-    points, normals = walls_of(shape, camera)
-    middle = (np.abs(points[:, 0]) < 0.008) & (np.abs(points[:, 1]) < 0.006)
-    assert np.degrees(np.arccos(normals[middle, :2] @ direction)).mean() < 10.0, (
-        "the sides of pixels are wrong by at least 20 degrees"
-    )
-
-
 def test_an_outline_faces_down_the_slope_of_the_smoothed_mask(camera):
     rows, columns = np.indices(camera.shape)
     contact = np.hypot(rows - 30, 0.6 * (columns - 41)) < 14 + 4 * np.sin(columns / 3)
@@ -170,13 +157,3 @@ def test_a_step_within_the_contact_is_no_wall(camera):
     shape.depth_m[30:40, 30:40] = 0.001
     points, _ = make_contact_cloud(shape, camera)
     assert len(points) == len(make_contact_cloud(square(camera, 20, 50), camera)[0])
-
-
-def test_the_cloud_scales_with_the_unit():
-    """The same scene in metres and in millimetres gives the same points and walls."""
-    metres = CAMERAS["orthographic"]
-    milli = dataclasses.replace(metres, fx=metres.fx / 1e3, fy=metres.fy / 1e3, standoff_m=21.0, max_depth_m=2.0)
-    small, large = square(metres, 20, 50, 0.002), square(milli, 20, 50, 2.0)
-    (p, n), (q, m) = make_contact_cloud(small, metres), make_contact_cloud(large, milli)
-    np.testing.assert_allclose(1e3 * p, q, rtol=1e-5)
-    np.testing.assert_allclose(n, m, atol=1e-6)

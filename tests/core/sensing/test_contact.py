@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import (
-    draw_rotations,
-    make_transform,
-    make_translation,
-    rotation_about,
-    transform_points,
-)
+from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, make_translation, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact, find_lowest_points, group_rotations
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -61,61 +55,32 @@ def lowest_by_clipping(triangles: np.ndarray, rectangle: tuple[float, float, flo
     return lowest
 
 
-def test_lowest_points_agree_with_clipping_every_triangle(hook):
-    T = random_poses(6, 0)
-    expected = [
-        lowest_by_clipping(transform_points(t, hook.triangles_m.reshape(-1, 3)).reshape(-1, 3, 3), RECTANGLE) for t in T
-    ]
-    assert np.isfinite(expected).sum() >= 4
-    np.testing.assert_allclose(find_lowest_points(hook, T, RECTANGLE), expected, atol=1e-12)
-
-
-def test_the_lowest_point_of_a_sphere_depends_on_the_rectangle():
-    radius = 0.008
-    ball = surface(trimesh.creation.icosphere(5, radius))
-    # The second sphere's pole lies 3 mm beyond the side x = 10 mm: its lowest point is above that side.
-    T = make_translation([[0.001, 0.002, 0.03], [0.013, 0.0, 0.03], [-0.006 - 0.0081, 0.0, 0.03]])
-    lowest = find_lowest_points(ball, T, RECTANGLE)
-    assert lowest[0] == pytest.approx(0.03 - radius, abs=1e-6)
-    assert lowest[1] == pytest.approx(0.03 - np.sqrt(radius**2 - 0.003**2), abs=1e-5)
-    assert lowest[2] == np.inf
-
-
-def test_the_lowest_point_may_be_on_a_corner_an_edge_or_a_face():
-    cube = surface(trimesh.creation.box([0.006, 0.006, 0.006]))
-    half, over = 0.003, np.array([0.002, 0.001, 0.0])
-    on_edge = rotation_about([1, 0, 0], np.pi / 4)
-    on_corner = rotation_about(np.cross([1, 1, 1], [0, 0, -1]), np.arccos(-1 / np.sqrt(3)))
-    T = make_transform(np.stack([np.eye(3), on_edge, on_corner]), over)
-    np.testing.assert_allclose(
-        find_lowest_points(cube, T, RECTANGLE), [-half, -half * np.sqrt(2), -half * np.sqrt(3)], atol=1e-12
-    )
-
-
-def test_a_face_that_covers_the_rectangle_is_found():
-    plate = surface(trimesh.creation.box([0.2, 0.2, 0.01]))
-    slope = make_transform(rotation_about([0, 1, 0], -0.1), [0.0, 0.0, 0.05])
-    # The underside rises with x: it is lowest over the side x = x0.
-    expected = 0.05 - 0.005 / np.cos(0.1) + RECTANGLE[0] * np.tan(0.1)
-    assert find_lowest_points(plate, slope[None], RECTANGLE)[0] == pytest.approx(expected, abs=1e-12)
-
-
-def test_an_edge_that_only_crosses_the_rectangle_is_found():
-    """The ridge of a roof is lowest where it leaves the rectangle; both ends lie outside."""
-    roof = TriangleMesh(
+SOLIDS = {
+    "hook": lambda: load_object("hook", symmetry="none").mesh,
+    "cube": lambda: surface(trimesh.creation.box([0.006, 0.006, 0.006])),
+    "a face over the whole rectangle": lambda: surface(trimesh.creation.box([0.2, 0.2, 0.01])),
+    "an edge across the rectangle": lambda: TriangleMesh(
         np.array([[-0.05, 0.0, 0.01], [0.05, 0.0, 0.002], [0.05, 0.05, 0.03], [-0.05, 0.05, 0.03]]),
         np.array([[0, 1, 2], [0, 2, 3]]),
-    )
-    expected = 0.006 - 0.08 * RECTANGLE[1]
-    assert find_lowest_points(roof, np.eye(4)[None], RECTANGLE)[0] == pytest.approx(expected, abs=1e-12)
+    ),
+    "a lower part beside the rectangle": lambda: surface(
+        trimesh.util.concatenate(
+            [
+                trimesh.creation.box([0.004, 0.004, 0.02]).apply_translation([0.03, 0.0, 0.0]),
+                trimesh.creation.box([0.03, 0.03, 0.002]).apply_translation([0.0, 0.0, 0.005]),
+            ]
+        )
+    ),
+}
 
 
-def test_parts_beside_the_rectangle_are_ignored():
-    low_post = trimesh.creation.box([0.004, 0.004, 0.02]).apply_translation([0.03, 0.0, 0.0])
-    high_plate = trimesh.creation.box([0.03, 0.03, 0.002]).apply_translation([0.0, 0.0, 0.005])
-    both = surface(trimesh.util.concatenate([low_post, high_plate]))
-    T = make_translation([[0.0, 0.0, 0.0], [-0.025, 0.0, 0.0]])
-    np.testing.assert_allclose(find_lowest_points(both, T, RECTANGLE), [0.004, -0.01], atol=1e-12)
+@pytest.mark.parametrize("name", SOLIDS)
+def test_lowest_points_agree_with_clipping_every_triangle(name):
+    solid, T = SOLIDS[name](), np.concatenate([np.eye(4)[None], random_poses(6, 0)])
+    points = transform_points(T, solid.triangles_m.reshape(-1, 3)).reshape(len(T), -1, 3, 3)
+    expected = [lowest_by_clipping(triangles, RECTANGLE) for triangles in points]
+    assert np.isfinite(expected).sum() >= 3
+    np.testing.assert_allclose(find_lowest_points(solid, T, RECTANGLE), expected, atol=1e-12)
 
 
 def test_the_sides_of_the_rectangle_are_at_their_coordinates():
@@ -162,19 +127,6 @@ def test_contact_does_not_depend_on_the_object_frame(hook, flat_camera):
     other, again = bring_to_contact(drawn_elsewhere, T @ np.linalg.inv(X), flat_camera)
     assert np.array_equal(touching, again)
     np.testing.assert_allclose((other @ X)[touching], moved[touching], atol=1e-12)
-
-
-def test_contact_moves_with_the_rectangle():
-    """A shift of the rectangle and the object together does not change the lowest points."""
-    cube = surface(trimesh.creation.box([0.01, 0.02, 0.03]))
-    T = random_poses(30, 8)
-    x0, x1, y0, y1 = RECTANGLE
-    shifted = (x0 + 0.01, x1 + 0.01, y0 - 0.02, y1 - 0.02)
-    np.testing.assert_allclose(
-        find_lowest_points(cube, make_translation([0.01, -0.02, 0]) @ T, shifted),
-        find_lowest_points(cube, T, RECTANGLE),
-        atol=1e-12,
-    )
 
 
 def test_lowest_points_are_equal_for_poses_together_and_alone(hook):

@@ -223,22 +223,6 @@ def test_no_slopes_are_no_contact():
     assert not found.pressure.any()
 
 
-def test_an_independent_solver_agrees():
-    """ContactMechanics presses a sphere into a half-space without coating."""
-    mechanics = pytest.importorskip("ContactMechanics")
-    systems = pytest.importorskip("ContactMechanics.Systems")
-    topography = pytest.importorskip("SurfaceTopography")
-    side = PX * PITCH_M
-    system = systems.NonSmoothContactSystem(
-        mechanics.FreeFFTElasticHalfSpace((PX, PX), 1.0, (side, side)),
-        topography.Topography(np.maximum(PRESS_M - HEIGHTS["sphere"], -0.05), (side, side)),
-    )
-    assert system.minimize_proxy(offset=0.0, pentol=1e-8, maxiter=500).success
-    surface_m = system.disp[:PX, :PX]
-    found = recover(surface_m, dataclasses.replace(GEOMETRY, gel=Gel(math.inf, 0.48)))
-    assert rms(found.displacement_m - surface_m) < 0.01 * PRESS_M
-
-
 def test_a_coating_smooths_as_boussinesq_says():
     """The displacement at a depth under a point force, transformed numerically (Johnson 1985, equation 3.19)."""
     from scipy.integrate import quad

@@ -55,12 +55,6 @@ def test_a_point_projects_to_the_scaled_pixel_after_resizing(geometry: SensorGeo
 
 
 @BOTH
-def test_resizing_back_restores_the_sensor(geometry: SensorGeometry) -> None:
-    back = geometry.resize(16, 12).resize(8, 6)
-    assert back.describe() == pytest.approx(geometry.describe())
-
-
-@BOTH
 @pytest.mark.parametrize("step", [1, 2, 3, 4])
 def test_subsampled_pixels_keep_their_rays(geometry: SensorGeometry, step: int) -> None:
     geometry = dataclasses.replace(geometry, observed=np.random.default_rng(2).random(geometry.shape) < 0.7)
