@@ -37,15 +37,6 @@ def test_ious_and_depths_contribute_as_defined():
     assert found.evidence == pytest.approx(expected, abs=1e-3)
 
 
-def test_a_larger_explained_area_adds_evidence():
-    """Apart from the IoU term, the pose that explains a larger area has the better evidence."""
-    more, less = imprint(slice(4, 24), 0.4e-3), imprint(slice(4, 12), 0.4e-3)
-    found = compare_imprints(np.stack([more, less]), SEEN, PRESS_M, OBSERVED, PITCH_M)
-    assert found.imprint_ious == pytest.approx([10 / 16, 8 / 10])
-    alike = found.evidence - IOU_NATS * found.imprint_ious
-    assert alike[0] > alike[1]
-
-
 def test_unobserved_pixels_are_ignored_and_no_contact_scores_zero():
     observed = OBSERVED.copy()
     observed[:, 14:] = False

@@ -6,7 +6,6 @@ import pytest
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.places.places import (
     BELOW,
-    CAMERA,
     FAR,
     HIGHEST_M,
     PATCH_PX,
@@ -119,11 +118,6 @@ def test_a_pose_puts_its_place_at_the_given_point(places):
     assert T[2, :3] == pytest.approx(places.T_place_object[5][2, :3])
 
 
-def test_the_patch_camera_has_the_depth_and_size_of_a_patch():
-    assert CAMERA.max_depth_m == HIGHEST_M
-    assert CAMERA.shape == (PATCH_PX, PATCH_PX)
-
-
 def test_any_patches_are_the_same_after_splitting_and_joining():
     rng = np.random.default_rng(0)
     noise = rng.integers(0, FAR + 1, (3, PATCH_PX, PATCH_PX), np.uint8)
@@ -132,14 +126,6 @@ def test_any_patches_are_the_same_after_splitting_and_joining():
             joined = join_patches(*split_patches(some))
             assert joined.dtype == np.uint8
             assert np.array_equal(joined, some)
-
-
-def test_a_patch_is_split_into_runs_and_changes():
-    patch = np.full((1, PATCH_PX, PATCH_PX), FAR, np.uint8)
-    patch[0, 0, 2:5] = BELOW, BELOW + 7, BELOW + 4
-    runs, changes = split_patches(patch)
-    assert runs.tolist() == [2, 3, PATCH_PX**2 - 5]
-    assert changes.tolist() == [BELOW, 7, 256 - 3]
 
 
 def draw_weights(cells: int, pixels: int, rng: np.random.Generator) -> np.ndarray:
@@ -161,11 +147,6 @@ def test_sums_are_matrix_products(down, across, shape):
         signal = np.where(np.arange(256) < end, rng.normal(size=256), 0).astype(np.float32)
         found = average_patches(patches, signal, rows, columns)
         assert found == pytest.approx(rows @ signal[patches] @ columns.T, abs=1e-4)
-
-
-def test_no_patch_has_no_sum():
-    weights = np.ones((1, 5), np.float32)
-    assert average_patches(np.empty((0, 5, 5), np.uint8), np.ones(256, np.float32), weights, weights).shape == (0, 1, 1)
 
 
 @pytest.mark.parametrize("cells", [[0, 1, 2], [0, 2]])

@@ -7,11 +7,10 @@ import pytest
 import trimesh
 
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
-from tactile_loc.core.places.imprints import OUTLINE_SHARE
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
-from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, press_block, replace_depth
+from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, press_block
 
 RADIUS_M = 0.008
 
@@ -35,13 +34,6 @@ def test_the_contact_shape_of_a_ball_is_its_cap(ball_scene):
     # Height map cells are 0.1 mm wide. The slope at the rim is one half, so the error may be about 0.05 mm.
     np.testing.assert_allclose(depths[0], cap, atol=8e-5)
     assert np.abs(depths[0] - cap).mean() < 5e-6
-
-
-def test_a_lighter_press_gives_the_same_depths_cut_at_the_press(ball_scene):
-    T, _ = ball_scene.bring_to_contact(make_translation([[0.0, 0.0, 0.0]]))
-    full, light = ball_scene.render_contact_depths(T), ball_scene.render_contact_depths(T, 0.0005)
-    np.testing.assert_array_equal(light, np.minimum(full, np.float32(0.0005)))
-    assert 0 < (light < np.float32(0.0005)).sum() < (full < np.float32(0.002)).sum()
 
 
 def test_contact_shape_first_brings_the_pose_to_contact(ball_scene):
@@ -97,32 +89,6 @@ def test_a_pose_beside_the_sensor_has_no_imprint_iou(problem):
     away = make_translation([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]) @ problem.truth
     np.testing.assert_allclose(problem.scene.imprint_ious(away, problem.touch), [1.0, 0.0], atol=1e-6)
     assert problem.scene.imprint_ious(away[:0], problem.touch).shape == (0,)
-
-
-def test_unobserved_pixels_do_not_affect_the_imprint_iou(problem):
-    observed = np.zeros(problem.touch.geometry.shape, bool)
-    observed[:, :32] = True
-    geometry = dataclasses.replace(problem.touch.geometry, observed=observed)
-    touch = dataclasses.replace(problem.touch, geometry=geometry)
-    depth = np.where(observed, touch.contact_shape.depth_m, np.float32(0))
-    scores = [problem.scene.imprint_ious(problem.truth[None], t)[0] for t in (touch, replace_depth(touch, depth))]
-    np.testing.assert_allclose(scores, 1.0, atol=1e-6)
-
-
-def test_the_imprint_iou_has_known_values(make_box, make_scene, flat_camera):
-    """A flat box of ten by ten pixels is compared with a touch shifted by half its width and one of half its depth."""
-    press = 0.002
-    scene = make_scene(make_box(0.004, 0.004, 0.004), flat_camera).press(press)
-    T, _ = scene.bring_to_contact(make_translation([[0.0, 0.0, 0.0], [0.002, 0.0, 0.0]]))
-    full = scene.contact_shape(T[0], press)
-    assert full.contact.sum() == 100
-    assert (full.depth_m[full.contact] == 0).all()
-    touch = Touch(full, flat_camera)
-    np.testing.assert_allclose(scene.imprint_ious(T, touch), [1.0, 50 / 150], atol=1e-6)
-    shallow = Touch(ContactShape(np.where(full.contact, press / 2, press).astype(np.float32), press), flat_camera)
-    expected = (0.5 + OUTLINE_SHARE) / (1.0 + OUTLINE_SHARE)
-    np.testing.assert_allclose(scene.imprint_ious(T[:1], shallow), expected, atol=1e-6)
-    assert scene.contact_iou(T[0], shallow) == 1.0  # the outline alone does not depend on depth
 
 
 def drawings(camera):

@@ -34,13 +34,7 @@ def test_a_lighter_press_cuts_the_depths() -> None:
     assert light.press_depth_m == 0.5 * MM
     np.testing.assert_allclose(light.depth_m, np.array([[0.0, 0.4, 0.5, 0.5]]) * MM, rtol=1e-6)
     np.testing.assert_array_equal(light.contact, [[True, True, False, False]])
-
-
-def test_a_deeper_press_does_not_change_the_shape() -> None:
-    shape = ContactShape(np.array([[0.0, 0.5]], np.float32) * np.float32(MM), 0.5 * MM)
-    same = shape.press_to(2 * MM)
-    assert same.press_depth_m == 0.5 * MM
-    np.testing.assert_array_equal(same.contact, shape.contact)
+    assert light.press_to(2 * MM).press_depth_m == 0.5 * MM, "a deeper press does not change the shape"
 
 
 @pytest.mark.parametrize("marker", [np.nan, np.inf, 2 * MM, 50 * MM])
