@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -266,22 +265,17 @@ def _scale_ratios(axes: Axes, values: NDArray[np.float64]) -> None:
     axes.set_xlim(-reach, reach)
 
 
-@dataclass(frozen=True)
-class NumberLabel:
+class NumberLabel(NamedTuple):
     """One label for nearly coincident points, which have the indices `members`.
 
-    The label is placed at `offset_pt`, in 1/72 inch, from the first point. The text begins there if the first number of
-    the offset is positive, and ends there if it is negative. If the number is zero, the text is centred there.
+    The label is placed at `offset_pt`, in 1/72 inch, from the first point. `alignment` is the side of the text there,
+    as matplotlib calls it: left if the first number of the offset is positive, right if it is negative.
     """
 
     text: str
     members: tuple[int, ...]
     offset_pt: tuple[float, float]
-
-    @property
-    def alignment(self) -> str:
-        """The horizontal alignment, as matplotlib calls it."""
-        return "center" if self.offset_pt[0] == 0 else "left" if self.offset_pt[0] > 0 else "right"
+    alignment: str
 
 
 def place_labels(places_pt: NDArray[np.float64], numbers: Sequence[int]) -> list[NumberLabel]:
@@ -302,7 +296,9 @@ def place_labels(places_pt: NDArray[np.float64], numbers: Sequence[int]) -> list
         free = [k for k, box in enumerate(boxes) if not any(box.fully_overlaps(other) for other in others)]
         chosen = free[0] if free else 0
         taken.append(boxes[chosen])
-        labels.append(NumberLabel(text, members, OFFSETS[chosen]))
+        side = OFFSETS[chosen][0]
+        alignment = "center" if side == 0 else "left" if side > 0 else "right"
+        labels.append(NumberLabel(text, members, OFFSETS[chosen], alignment))
     return labels
 
 

@@ -42,7 +42,7 @@ def draw_pose(axes: Axes, scene: DrawnScene) -> None:
     axes.imshow(shrink(image, SUPERSAMPLE), extent=bounds, interpolation="antialiased", zorder=1)
     top_mm = max(float(s[..., 2].max()) for s in (estimate, truth) if s is not None)
     height_mm = max(top_mm - 1e3 * sensor.geometry.surface_m, 5.0)
-    _draw_axes(axes, view, sensor.geometry, height_mm, _Picture(seen, bounds))
+    _draw_axes(axes, view, sensor.geometry, height_mm, seen)
     axes.set(xlim=bounds[:2], ylim=bounds[2:], aspect="equal")
     axes.set_axis_off()
 
@@ -114,23 +114,7 @@ def paint(image: NDArray[np.float32], where: NDArray[np.bool_], colour: str, opa
     image[where, 3] = np.maximum(image[where, 3], opacity)
 
 
-@dataclass(frozen=True, eq=False)
-class _Picture:
-    """The hits of a picture's rays, and the picture's bounds (left, right, bottom, top), mm."""
-
-    seen: Buffers
-    bounds: Bounds
-
-    def count_hidden(self, places: Array) -> int:
-        """Return the number of places (N, 2), mm in the picture, that the object covers."""
-        left, right, bottom, top = self.bounds
-        height, width = self.seen.surface.shape
-        columns = ((places[:, 0] - left) / (right - left) * width).astype(int).clip(0, width - 1)
-        rows = ((top - places[:, 1]) / (top - bottom) * height).astype(int).clip(0, height - 1)
-        return int((self.seen.surface[rows, columns] == 0).sum())
-
-
-def _draw_axes(axes: Axes, view: Viewpoint, geometry: SensorGeometry, height_mm: float, picture: _Picture) -> None:
+def _draw_axes(axes: Axes, view: Viewpoint, geometry: SensorGeometry, height_mm: float, seen: Buffers) -> None:
     """Draw ticks for x and y along the nearest edges of the sensing rectangle, and ticks for z above a corner."""
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
     z0 = 1e3 * geometry.surface_m
@@ -142,11 +126,11 @@ def _draw_axes(axes: Axes, view: Viewpoint, geometry: SensorGeometry, height_mm:
     _draw_scale(axes, view, [(x, near_y + out_y * away, z_low) for x in xs], xs, (0, out_y, 0), "x (mm)")
     _draw_scale(axes, view, [(near_x + out_x * away, y, z_low) for y in ys], ys, (out_x, 0, 0), "y (mm)")
     rim_mm = [x0 - RIM_MM, x1 + RIM_MM, y0 - RIM_MM, y1 + RIM_MM]
-    _draw_height(axes, view, rim_mm, z0, list_round_values(z0, z0 + height_mm, 4.5), picture)
+    _draw_height(axes, view, rim_mm, z0, list_round_values(z0, z0 + height_mm, 4.5), seen)
 
 
 def _draw_height(
-    axes: Axes, view: Viewpoint, rim_mm: list[float], base_mm: float, ticks: list[float], picture: _Picture
+    axes: Axes, view: Viewpoint, rim_mm: list[float], base_mm: float, ticks: list[float], seen: Buffers
 ) -> None:
     """Draw the z axis at the sensor's left or right corner, whichever the object covers less."""
     corners = [(x, y) for x in rim_mm[:2] for y in rim_mm[2:]]
@@ -154,11 +138,11 @@ def _draw_height(
     sides = [
         ([(*corner, z) for z in ticks], sign * view.axes[0]) for corner, sign in ((corners[0], -1), (corners[-1], 1))
     ]
-    reach_mm = 0.05 * (picture.bounds[1] - picture.bounds[0])
-    hidden = [
-        sum(picture.count_hidden(view.project(np.array(points) + k * reach_mm * outwards)) for k in (0, 1, 2))
-        for points, outwards in sides
-    ]
+    reach_mm = 0.05 * (seen.bounds[1] - seen.bounds[0])
+    hidden = []
+    for points, outwards in sides:
+        places = np.concatenate([view.project(np.array(points) + k * reach_mm * outwards) for k in (0, 1, 2)])
+        hidden.append(int((seen.find_surfaces(places) == 0).sum()))
     points, outwards = sides[int(np.argmin(hidden))]
     pole = view.project(np.array([[*points[0][:2], base_mm], points[-1]]))
     axes.plot(pole[:, 0], pole[:, 1], color="#777777", lw=0.8, zorder=2)

@@ -48,7 +48,7 @@ class Viewpoint:
 
 @dataclass(frozen=True, eq=False)
 class Buffers:
-    """The first hit of each pixel's ray.
+    """The first hit of each pixel's ray, in a picture with `bounds` (left, right, bottom, top).
 
     `surface` and `face` (H, W) are indices of the surface and face, or -1 without a hit. `depth` (H, W) is the length
     of the ray.
@@ -66,11 +66,20 @@ class Buffers:
 
     A ray starts at the sum of its column's `right` and its row's `up`. Its direction is minus `towards`.
     """
+    bounds: Bounds
 
     @cached_property
     def hit(self) -> NDArray[np.bool_]:
         """Mask (H, W) of the pixels whose ray hits a surface."""
         return self.surface >= 0
+
+    def find_surfaces(self, places: Array) -> NDArray[np.int32]:
+        """Return the surfaces (N,), or -1, that the picture shows at places (N, 2), right and up."""
+        left, right, bottom, top = self.bounds
+        height, width = self.surface.shape
+        columns = ((places[:, 0] - left) / (right - left) * width).astype(int).clip(0, width - 1)
+        rows = ((top - places[:, 1]) / (top - bottom) * height).astype(int).clip(0, height - 1)
+        return self.surface[rows, columns]
 
     def locate(self, axes: Array, lift: float) -> tuple[Float32, Float32, Float32]:
         """Return coordinates x, y and z (K,) of the hits along axes (3, 3), rows, moved by `lift` along the normals."""
@@ -121,7 +130,7 @@ class Tracer:
         towards = np.where(self._normals @ axes[2] < 0, -1.0, 1.0)[:, None] * self._normals
         origins = u[:, None] * axes[0] + self._distance * axes[2], v[:, None] * axes[1], axes[2]
         surface = np.append(self._of_face, np.int32(-1))[face]
-        return Buffers(surface, face, depth, towards, self._of_face, origins)
+        return Buffers(surface, face, depth, towards, self._of_face, origins, bounds)
 
     def cast_shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
         """Return a mask (H, W) of the pixels in shadow, found with a second picture that is seen from the light.
