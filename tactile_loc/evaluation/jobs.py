@@ -9,7 +9,7 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 from tactile_loc.core.runtime.errors import TactileLocError, fold_line
 from tactile_loc.core.runtime.progress import Progress
@@ -25,21 +25,11 @@ _ALONE = threading.Lock()
 log = logging.getLogger(__name__)
 
 
-class Named(Protocol):
-    """What a job works on, such as an `ObjectModel`. Equal names mean equal values."""
+class Job(Protocol):
+    """Work for one process: it measures one subject. A job is pickled, so it holds only plain values.
 
-    @property
-    def name(self) -> str:
-        """The name."""
-        ...
-
-
-Subject = TypeVar("Subject", bound=Named)
-Measured = TypeVar("Measured", bound=Named, contravariant=True)
-
-
-class Job(Protocol[Measured]):
-    """Work for one process: it measures one subject. A job is pickled, so it holds only plain values."""
+    A subject, such as an `ObjectModel`, has a `name`. Subjects with equal names are equal.
+    """
 
     @property
     def key(self) -> str:
@@ -51,7 +41,7 @@ class Job(Protocol[Measured]):
         """The folder of the stage store that all workers share."""
         ...
 
-    def measure(self, subject: Measured, store: StageStore, /) -> dict[str, Any]:
+    def measure(self, subject: Any, store: StageStore, /) -> dict[str, Any]:
         """Return the measured values, as JSON values. Raises TactileLocError if the job is impossible."""
         ...
 
@@ -77,7 +67,7 @@ JobOutcomes = Generator[JobOutcome, None, None]
 class Workers(Protocol):
     """Runs jobs: `LocalWorkers` or `DaskWorkers`."""
 
-    def run_jobs(self, jobs: Sequence[Job[Any]], subjects: Mapping[str, Any], /) -> JobOutcomes:
+    def run_jobs(self, jobs: Sequence[Job], subjects: Mapping[str, Any], /) -> JobOutcomes:
         """Yield the outcome of every job when it ends; `subjects` maps each job's key to its subject."""
         ...
 
@@ -86,8 +76,8 @@ class Workers(Protocol):
 class QueuedJob:
     """A job with its subject, a short `note` for people, and JSON values `about` it for the file of its row."""
 
-    job: Job[Any]
-    subject: Named
+    job: Job
+    subject: Any
     note: str
     about: Mapping[str, Any]
 
@@ -119,7 +109,7 @@ class BuildJournal(list[StageKey]):
         return tuple(dict.fromkeys([*self._earlier, *map(str, self)]))
 
     @staticmethod
-    def forget(job: Job[Any]) -> None:
+    def forget(job: Job) -> None:
         """Remove a job's file, after its outcome has been written."""
         with suppress(OSError):
             _locate_journal(job.store, job.key).unlink(missing_ok=True)
@@ -129,7 +119,7 @@ def _locate_journal(store: Path, key: str) -> Path:
     return store / JOURNALS / f"{key}.txt"
 
 
-def do_job(job: Job[Subject], subject: Subject) -> JobOutcome:
+def do_job(job: Job, subject: Any) -> JobOutcome:
     """Do a job on its subject. An error is returned in the outcome."""
     with _ALONE:
         store = StageStore(job.store)

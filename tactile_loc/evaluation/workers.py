@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError, TactileLocError
-from tactile_loc.evaluation.jobs import Job, JobOutcome, JobOutcomes, Subject, do_job
+from tactile_loc.evaluation.jobs import Job, JobOutcome, JobOutcomes, do_job
 
 RETRIES = 2  # repetitions by Dask after failures outside the job, such as a broken connection
 CONNECT_S = 10
@@ -38,19 +38,17 @@ class ClusterError(TactileLocError):
     """A Dask cluster cannot be reached, or has stopped."""
 
 
-Attempts = Generator[tuple[Job[Subject], JobOutcome | None], None, None]
+Attempts = Generator[tuple[Job, JobOutcome | None], None, None]
 """Jobs, each with its outcome, or with None if its workers died."""
 
 
-def _try_twice(
-    run: Callable[[Sequence[Job[Subject]]], Attempts[Subject]], jobs: Sequence[Job[Subject]], why: str
-) -> JobOutcomes:
+def _try_twice(run: Callable[[Sequence[Job]], Attempts], jobs: Sequence[Job], why: str) -> JobOutcomes:
     """Yield the outcome of every job; `why` is the error of a job whose workers always die.
 
     Another job may have killed the workers, for instance if it took all memory. So each job whose workers died is tried
     once more, alone.
     """
-    given_up: list[Job[Subject]] = []
+    given_up: list[Job] = []
     for some in itertools.chain([jobs], ([job] for job in given_up)):
         with closing(run(some)) as running:
             for job, outcome in running:
@@ -73,7 +71,7 @@ class LocalWorkers:
     threads: int
     log: Path
 
-    def run_jobs(self, jobs: Sequence[Job[Subject]], subjects: Mapping[str, Subject]) -> JobOutcomes:
+    def run_jobs(self, jobs: Sequence[Job], subjects: Mapping[str, Any]) -> JobOutcomes:
         """Yield the outcome of every job when it ends; `subjects` maps each job's key to its subject.
 
         The workers end with the iteration. Raises OutputError if the log cannot be written.
@@ -82,7 +80,7 @@ class LocalWorkers:
         why = f"its worker died each time, perhaps for lack of memory; see {self.log}"
         return _try_twice(lambda some: self._run(some, subjects), jobs, why)
 
-    def _run(self, jobs: Sequence[Job[Subject]], subjects: Mapping[str, Subject]) -> Attempts[Subject]:
+    def _run(self, jobs: Sequence[Job], subjects: Mapping[str, Any]) -> Attempts:
         """Yield each job with its outcome, or with None if MOST_DEATHS of its workers died."""
         waiting, deaths = deque(jobs), dict.fromkeys((job.key for job in jobs), 0)
         pool: dict[Connection, _LocalWorker] = {}
@@ -145,7 +143,7 @@ class _LocalWorker:
         its.close()
         return cls(process, ours)
 
-    def send(self, job: Job[Subject], subjects: Mapping[str, Subject]) -> None:
+    def send(self, job: Job, subjects: Mapping[str, Any]) -> None:
         """Send a job; its subject is sent once only. If the process has died, `receive` returns None."""
         subject = subjects[job.key]
         self.job = job
@@ -211,7 +209,7 @@ class DaskWorkers:
 
     address: str
 
-    def run_jobs(self, jobs: Sequence[Job[Subject]], subjects: Mapping[str, Subject]) -> JobOutcomes:
+    def run_jobs(self, jobs: Sequence[Job], subjects: Mapping[str, Any]) -> JobOutcomes:
         """Yield the outcome of every job when it ends; `subjects` maps each job's key to its subject.
 
         Raises MissingLibraryError or ClusterError.
@@ -228,13 +226,13 @@ class DaskWorkers:
             yield from _try_twice(lambda some: run_on_dask(client, some, subjects), jobs, why)
 
 
-def run_on_dask(client: Any, jobs: Sequence[Job[Subject]], subjects: Mapping[str, Subject]) -> Attempts[Subject]:
+def run_on_dask(client: Any, jobs: Sequence[Job], subjects: Mapping[str, Any]) -> Attempts:
     """Yield each job with its outcome, or with None if too many workers died. Cancels all jobs at the end."""
     from distributed import as_completed
 
     token = uuid.uuid4().hex[:8]
     held: dict[str, Any] = {}  # each subject is sent once, as the result of a task that Dask can repeat
-    futures: dict[Any, Job[Subject]] = {}
+    futures: dict[Any, Job] = {}
     running = as_completed(loop=client.loop)
     try:
         for job in jobs:
@@ -258,7 +256,7 @@ def run_on_dask(client: Any, jobs: Sequence[Job[Subject]], subjects: Mapping[str
         client.cancel(list(futures))
 
 
-def _read_outcome(future: Any, job: Job[Any], address: str) -> JobOutcome | None:
+def _read_outcome(future: Any, job: Job, address: str) -> JobOutcome | None:
     from distributed import KilledWorker
 
     if future.status == "cancelled":
@@ -274,7 +272,7 @@ def _read_outcome(future: Any, job: Job[Any], address: str) -> JobOutcome | None
     return outcome
 
 
-def _return_subject(subject: Subject) -> Subject:
+def _return_subject(subject: Any) -> Any:
     return subject
 
 

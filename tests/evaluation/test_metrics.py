@@ -77,16 +77,6 @@ def test_a_declared_symmetry_removes_the_error_of_an_equivalent_pose(make_box, t
     assert compute_add_s(points_m, turned, true_pose)[0] < 0.001  # ADD-S ignores it in either case
 
 
-def test_rotations_about_a_continuous_axis_cost_nothing_and_shifts_along_it_do(cylinder, true_pose):
-    points_m = cylinder.mesh.sample(2000, np.random.default_rng(0))
-    corners_m = cylinder.mesh.hull_corners_m
-    turned = true_pose @ turn([0, 0, 1], 1.2345) @ turn([1, 0, 0], np.pi)
-    moved = turned @ make_translation([0, 0, 0.005])
-    poses = np.stack([turned, moved])
-    assert compute_adds(cylinder, points_m, poses, true_pose) == pytest.approx([0, 0.005], abs=1e-9)
-    assert compute_mssd(cylinder, corners_m, poses, true_pose) == pytest.approx([0, 0.005], abs=1e-7)
-
-
 def test_only_the_centre_of_a_sphere_counts(make_object, true_pose):
     ball = make_object(trimesh.creation.icosphere(3, 0.01).apply_translation([0.03, 0, 0]), "sphere")
     about_centre = make_translation([0.03, 0, 0]) @ turn([1, 2, 3], 2.0) @ make_translation([-0.03, 0, 0])

@@ -133,16 +133,8 @@ class Guess(Method):
                 raise ValueError("nothing\nworks")
             case "nothing":
                 return None  # type: ignore[return-value]
-            case "shape":
-                return ScoredPoses(T, one)
-            case "nan":
-                return ScoredPoses(T[None] * np.nan, one)
             case "mirror":
                 return ScoredPoses((T @ np.diag([-1.0, 1.0, 1.0, 1.0]))[None], one)
-            case "surer than sure":
-                return ScoredPoses(T[None], one, 2 * one)
-            case "words":
-                return ScoredPoses(T[None], np.array(["good"]))  # type: ignore[arg-type]
         raise AssertionError
 
 

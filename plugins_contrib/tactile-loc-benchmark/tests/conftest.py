@@ -19,7 +19,7 @@ from tactile_loc_benchmark.suite import Suite
 class InProcess:
     """Workers that do the jobs in this process."""
 
-    def run_jobs(self, jobs: Sequence[Job[ObjectModel]], objects: Mapping[str, ObjectModel]) -> JobOutcomes:
+    def run_jobs(self, jobs: Sequence[Job], objects: Mapping[str, ObjectModel]) -> JobOutcomes:
         for job in jobs:
             yield do_job(job, objects[job.key])
 

@@ -41,17 +41,7 @@ def test_a_method_without_a_pose_gives_rows_and_no_error(run_small):
     assert {row["problem"] for row in found.results.rows} == {"nothing fits"}
 
 
-@pytest.mark.parametrize(
-    ("fault", "says"),
-    [
-        ("nothing", "NoneType"),
-        ("shape", "(4, 4)"),
-        ("nan", "finite"),
-        ("mirror", "rigid"),
-        ("words", "scores"),
-        ("surer than sure", "2"),
-    ],
-)
+@pytest.mark.parametrize(("fault", "says"), [("nothing", "NoneType"), ("mirror", "rigid")])
 def test_an_answer_that_is_none_gives_one_clear_error(run_small, tmp_path, fault, says):
     found = run_small(tmp_path, method=[{"name": "guess", "fault": fault}])
     (cell,) = found.failed
@@ -72,6 +62,7 @@ def test_an_answer_that_is_none_gives_one_clear_error(run_small, tmp_path, fault
         (np.eye(4)[None], [1.0], [0.5, 0.5]),
         (1.1 * np.eye(4)[None], [1.0], None),
         (None, [1.0], None),
+        (np.eye(4)[None], ["good"], None),
         (np.eye(4)[None], None, None),
     ],
 )

@@ -19,7 +19,6 @@ from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.evaluation.jobs import JOURNALS, FinishedJobs, JobOutcome, do_job
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.sweep.combination import combine
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.results import read_sweep
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, run_sweep
@@ -207,33 +206,17 @@ def test_a_missing_dask_gives_an_error_with_the_package_to_install(plan, tmp_pat
         run_sweep(plan, tmp_path, tmp_path, DaskWorkers("tcp://127.0.0.1:1"))
 
 
-def test_a_row_is_stored_and_read_back(tmp_path):
-    (one,), _ = combine(Plan.from_values({"object": "pin", "noise": "mild"}))
-    kept = FinishedJobs(tmp_path / "out")
-    assert kept.read(one.key) is None
-    outcome = JobOutcome(one.key, {"total_ms": 0.1}, ("grid 1", "bank 2"))
-    kept.write(outcome, {"configuration": one.describe()})
-    assert kept.read(one.key) == outcome
-    record = json.loads((tmp_path / "out" / "rows" / f"{one.key}.json").read_text())
-    assert record["configuration"]["touch"]["noise"] == "mild"
-    assert record["configuration"]["grid"]["options"]["spacing_mm"] == 3.0
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["rows"]
-
-
-def test_a_traceback_is_stored_and_removed_after_a_success(tmp_path):
-    (one,), _ = combine(Plan.from_values({"object": "pin"}))
-    kept = FinishedJobs(tmp_path)
-    kept.write(JobOutcome(one.key, None, (), "ValueError: no", "Traceback ...\nValueError: no"), {})
-    trace = tmp_path / "errors" / f"{one.key}.txt"
+def test_a_row_is_stored_and_read_back_and_a_traceback_is_removed_after_a_success(tmp_path):
+    kept, trace = FinishedJobs(tmp_path / "out"), tmp_path / "out" / "errors" / "k.txt"
+    assert kept.read("k") is None
+    kept.write(JobOutcome("k", None, (), "ValueError: no", "Traceback ...\nValueError: no"), {})
     assert trace.read_text().endswith("ValueError: no")
-    assert kept.read(one.key) == JobOutcome(one.key, None, (), "ValueError: no")
-    kept.write(JobOutcome(one.key, {}), {})
+    assert kept.read("k") == JobOutcome("k", None, (), "ValueError: no")
+    outcome = JobOutcome("k", {"total_ms": 0.1}, ("grid 1", "bank 2"))
+    kept.write(outcome, {"configuration": {"seed": 3}})
+    assert kept.read("k") == outcome
+    assert json.loads((tmp_path / "out" / "rows" / "k.json").read_text())["configuration"] == {"seed": 3}
     assert not trace.exists()
-
-
-def test_an_unreadable_row_counts_as_missing(tmp_path):
-    kept = FinishedJobs(tmp_path)
-    (tmp_path / "rows").mkdir()
     for text in ("", "{", "[]", '{"key": "k"}'):
-        (tmp_path / "rows" / "k.json").write_text(text)
-        assert kept.read("k") is None
+        (tmp_path / "out" / "rows" / "k.json").write_text(text)
+        assert kept.read("k") is None, "an unreadable row counts as missing"
