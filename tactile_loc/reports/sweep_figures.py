@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.evaluation.sweep.plan import find_varying_slots, name_choices
-from tactile_loc.evaluation.sweep.results import write_sweep_tables
-from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, Sweep
+from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, Sweep, write_sweep_tables
 from tactile_loc.reports.evaluation_figures import COLOURS
 from tactile_loc.slots.registry import SLOTS
 from tactile_loc.view.pictures import group_nearby, make_figure, save_figure

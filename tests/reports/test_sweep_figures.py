@@ -8,8 +8,7 @@ from message_helpers import naming
 from report_helpers import make_sweep
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.evaluation.sweep.results import require_line
-from tactile_loc.evaluation.sweep.sweep import ChoiceMedian
+from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, require_line
 from tactile_loc.reports.sweep_figures import (
     DIGIT,
     LINE,

@@ -95,8 +95,7 @@ def sweep(
     values are evaluated in local processes or on a Dask cluster (docs/sweeps.md). All workers share one store. If a
     combination fails, its row holds the error, and the exit code is 1. After an interruption, the same command resumes.
     """
-    from tactile_loc.evaluation.sweep.results import read_sweep, require_line
-    from tactile_loc.evaluation.sweep.sweep import run_sweep
+    from tactile_loc.evaluation.sweep.sweep import read_sweep, require_line, run_sweep
     from tactile_loc.store.store import StageStore
 
     values = {
@@ -227,7 +226,7 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
 
 def _say_medians(found: Sweep, line: str) -> None:
     """Show the median errors, best first."""
-    from tactile_loc.evaluation.sweep.results import tabulate_medians
+    from tactile_loc.evaluation.sweep.sweep import tabulate_medians
 
     medians = found.compute_medians(line)
     for noise in found.plan.noises:
@@ -241,7 +240,7 @@ def _say_medians(found: Sweep, line: str) -> None:
 def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
     """Compare two finished sweeps, and show and return the changes. Raises ConfigError if `old` is None."""
     from tactile_loc.evaluation.sweep.comparison import compare, format_texts, summarise, write_comparison
-    from tactile_loc.evaluation.sweep.results import read_sweep
+    from tactile_loc.evaluation.sweep.sweep import read_sweep
 
     if old is None:
         raise ConfigError("no plan is given; give a plan file, or options such as --refiner none,icp")

@@ -20,8 +20,7 @@ from tactile_loc.evaluation.jobs import JOURNALS, FinishedJobs, JobOutcome, do_j
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.sweep.plan import Plan
-from tactile_loc.evaluation.sweep.results import read_sweep
-from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, run_sweep
+from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, read_sweep, run_sweep
 from tactile_loc.evaluation.text_tables import read_parquet
 from tactile_loc.evaluation.workers import ClusterError, DaskWorkers, LocalWorkers
 from tactile_loc.io.meshes.mesh_files import load_object
