@@ -87,10 +87,8 @@ def measure_by_noise(one):
 
 
 def test_each_noise_has_a_table_with_the_best_values_in_bold(made_up):
-    text = format_summary(
-        made_up({"object": ["pin", "head"], "refiner": ["none", "icp"], "noise": ["none", "mild"]}, measure_by_noise),
-        "chosen",
-    )
+    values = {"object": ["pin", "head"], "refiner": ["none", "icp"], "noise": ["none", "mild"]}
+    text = format_summary(made_up(values, measure_by_noise), "chosen")
     first, second = text.split("## Noise: ")[1:]
     rows = ["| components | pin | head |", "| --- | --- | --- |", "| none | 4.00 | **2.00** |"]
     assert first.strip().splitlines() == ["none", "", *rows, "| icp | **0.500** | **2.00** |"]
