@@ -238,12 +238,16 @@ def _list_shares(row: Row, names: Sequence[str] = ("median", "mean")) -> dict[st
     return {f"{name} / random": f"{row[f'{name}_normalised']:.3f}" for name in names}
 
 
-def _split_runs(table: ExampleTable, rows: Sequence[Row]) -> Iterator[tuple[str, str, ExampleTable, list[Row]]]:
-    """Yield the heading, a description, the examples, and the rows, for ADD, of each object and encoder."""
+def _list_details(
+    table: ExampleTable, rows: Sequence[Row], cells: Callable[[Row], Row], describe: Callable[[ExampleTable], str]
+) -> list[str | Table]:
+    """Return a heading, a description, and a table of the `cells` of all rows for ADD, for each object and encoder."""
+    parts: list[str | Table] = []
     for (name, encoder), run in table.group("object", "encoder").items():
-        about = f"{run['grid_poses'][0]} grid poses, symmetry {run['symmetry'][0]}"
+        about = f"{run['grid_poses'][0]} grid poses, symmetry {run['symmetry'][0]}; {describe(run)}"
         own = [row for row in rows if (row["object"], row["encoder"], row["metric"]) == (name, encoder, "add")]
-        yield f"## {name}, {encoder}", about, run, own
+        parts += [f"## {name}, {encoder}", about, tabulate(map(cells, own))]
+    return parts
 
 
 def collect_touches(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str) -> EvaluationResults:
@@ -267,21 +271,15 @@ def collect_touches(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], h
         NotedTable(COVERAGE_TITLE, COVERAGE_NOTE, tabulate_posteriors(touches)),
     ]
     others = {f"median {metric.upper()}": _find_medians(lines, metric) for metric in ("mssd", "add-s")}
-    parts: list[str | Table] = []
-    for title, about, _, rows in _split_runs(table, lines):
-        details = [
-            {
-                "line": row["line"],
-                **_list_lengths(row),
-                "90 %": format_mm(row["p90_m"]),
-                **_list_shares(row),
-                **{head: medians[row["object"], row["encoder"], row["line"]] for head, medians in others.items()},
-            }
-            for row in rows
-        ]
-        parts += [title, f"{about}; ADD, mm:", tabulate(details)]
+
+    def list_cells(row: Row) -> Row:
+        name = row["object"], row["encoder"], row["line"]
+        shares = {"90 %": format_mm(row["p90_m"]), **_list_shares(row)}
+        return {"line": row["line"], **_list_lengths(row), **shares, **{head: of[name] for head, of in others.items()}}
+
+    details = _list_details(table, lines, list_cells, lambda _: "ADD, mm:")
     return EvaluationResults(
-        "results", heading, document, _leave_out(lines, "contacts", "without_common"), tables, parts
+        "results", heading, document, _leave_out(lines, "contacts", "without_common"), tables, details
     )
 
 
@@ -321,19 +319,15 @@ def collect_contacts(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], 
         NotedTable("median ADD by number of contacts, mm", "", tabulate_contacts(rows, format_median)),
         NotedTable(SHARE_TITLE, "", tabulate_contacts(rows, format_share_of_random)),
     ]
-    parts: list[str | Table] = []
-    for title, about, run, own in _split_runs(table, rows):
-        details = [
-            {
-                "line": row["line"],
-                "contacts": str(row["contacts"]),
-                **_list_lengths(row),
-                **_list_shares(row, ("median", "mean", "std")),
-                "without common pose": str(row["without_common"]),
-            }
-            for row in own
-        ]
+
+    def list_cells(row: Row) -> Row:
+        shares = _list_shares(row, ("median", "mean", "std"))
+        without = {"without common pose": str(row["without_common"])}
+        return {"line": row["line"], "contacts": str(row["contacts"]), **_list_lengths(row), **shares, **without}
+
+    def describe(run: ExampleTable) -> str:
         random = f"mean error of a random pose {format_mm(find_scale_m(run))} mm"
-        refused = f"{run.count_refused()} presses without a touch were refused"
-        parts += [title, f"{about}; {random}; {refused}", tabulate(details)]
-    return EvaluationResults("contacts", heading, document, _leave_out(rows, "metric"), tables, parts)
+        return f"{random}; {run.count_refused()} presses without a touch were refused"
+
+    details = _list_details(table, rows, list_cells, describe)
+    return EvaluationResults("contacts", heading, document, _leave_out(rows, "metric"), tables, details)
