@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from tactile_loc_cli.commands.next_touch import Around as Around, Candidates as Candidates
 
     # which requests a local web server answers
-    from tactile_loc.reports.access import Access as Access
 
     # files, which are written completely or not at all
     from tactile_loc.locate.stored_object import list_mesh_files as list_mesh_files

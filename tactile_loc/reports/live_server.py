@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import socket
 import sys
 import threading
@@ -20,12 +21,13 @@ from types import TracebackType
 from typing import Any
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.reports.access import SAFE, Access
 from tactile_loc.reports.page import JSON_OPTIONS
 
 logger = logging.getLogger(__name__)
 
 HOST = "127.0.0.1"
+SAFE = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+OWN_HOST = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?", re.ASCII)
 ALIVE_S = 10.0  # longest time between two messages to a browser
 SHORTEST_S = 0.1  # shortest time between two frames
 LAST_S = 1.0  # longest wait until all browsers have received the end
@@ -95,7 +97,7 @@ class LiveServer:
 
     def __init__(self, page: str, port: int) -> None:
         self.board = Board()
-        handler = type("Handler", (_Handler,), {"page": page.encode(), "board": self.board, "access": Access.at(HOST)})
+        handler = type("Handler", (_Handler,), {"page": page.encode(), "board": self.board})
         try:
             self._server = _Server((HOST, port), handler)
         except (OSError, OverflowError) as error:
@@ -178,14 +180,13 @@ class _Server(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     page: bytes
     board: Board
-    access: Access
     server: _Server
     timeout = SEND_S
 
     def do_GET(self) -> None:
         """Answer with the page or with a stream of events."""
         self.server.begin_answer(self.connection)
-        if fault := self.access.find_fault(self.path, self.headers):
+        if fault := self._find_fault():
             self._begin("text/plain", len(fault) + 1, HTTPStatus.FORBIDDEN)
             self.wfile.write(f"{fault}\n".encode())
         elif self.path == "/":
@@ -198,6 +199,19 @@ class _Handler(BaseHTTPRequestHandler):
                     self.wfile.write(event.encode())
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
+
+    def _find_fault(self) -> str:
+        """Return why a request is refused, in one sentence, or "".
+
+        A browser sends the address that it believes to visit (`Host`) and the page that asks (`Origin`). A foreign page
+        cannot forge them, but a name of its own may lead to this machine (DNS rebinding).
+        """
+        hosts, origins = ([value.lower() for value in self.headers.get_all(name) or []] for name in ("Host", "Origin"))
+        if len(hosts) != 1 or not OWN_HOST.fullmatch(hosts[0]):
+            return "This server has another name; open the address that the command printed."
+        if origins not in ([], [f"http://{hosts[0]}"]):
+            return "A page of another server asks; open the address that the command printed."
+        return ""
 
     def log_message(self, format: str, *args: Any) -> None:
         """Log nothing, so that requests do not appear in the terminal."""

@@ -49,7 +49,7 @@ def test_the_page_is_served_locally_and_requests_only_its_own_server(localizer):
         assert "&lt;b&gt;camera" in text
         assert "<b>camera" not in text
         assert ask(server, "/result.json").status == 404
-        for host in ("evil.example:80", "evil.example", "127.0.0.1.evil.example:8420"):
+        for host in ("evil.example:80", "evil.example", "127.0.0.1.evil.example:8420", "127.0.0.1@evil.example"):
             assert ask(server, "/", host).status == 403
             assert ask(server, "/events", host).status == 403
         own = server.url[7:-1].replace("127.0.0.1", "localhost")

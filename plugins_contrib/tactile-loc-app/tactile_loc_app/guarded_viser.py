@@ -12,8 +12,9 @@ from threading import Lock
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.commands import Access
 from tactile_loc.plugin import ConfigError, MissingLibraryError
+
+from tactile_loc_app.access import Access
 
 if TYPE_CHECKING:
     from viser import ViserServer

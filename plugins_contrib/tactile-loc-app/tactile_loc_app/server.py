@@ -12,9 +12,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from tactile_loc import RunConfig, StageStore
-from tactile_loc.commands import Access
 from tactile_loc.plugin import ConfigError
 
+from tactile_loc_app.access import Access
 from tactile_loc_app.guarded_viser import require_viser, start_viser
 from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers

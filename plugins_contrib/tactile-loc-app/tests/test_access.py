@@ -7,7 +7,7 @@ from email.message import Message
 
 import pytest
 
-from tactile_loc.reports.access import Access, is_loopback
+from tactile_loc_app.access import Access, is_loopback
 
 OPEN = Access.at("0.0.0.0")
 OWN = socket.gethostname().lower().partition(".")[0]
