@@ -129,7 +129,7 @@ class RobotTouches:
         """
         geometry = self.geometry.press(press_m, self.geometry.max_depth_m)
         clean = Scene(self.object, geometry, self.renderer).render_gel_depths(T[None])
-        if not touches_enough(clean[0], press_m, geometry, self.least_percent):
+        if not self.touches_enough(clean[0], press_m):
             return None
         depth, measured_m = measure_noisily(self.noise, clean, press_m, geometry, rng)
         try:
@@ -146,6 +146,11 @@ class RobotTouches:
         except TouchError as error:
             return error
 
+    def touches_enough(self, depth_m: Float32, press_m: float) -> bool:
+        """Return whether enough pixels of a contact shape (H, W), metres, are in contact: `least_percent`, at least one."""
+        seen = self.geometry.observed_mask
+        return bool(((depth_m < np.float32(press_m)) & seen).sum() >= max(1.0, self.least_percent / 100 * seen.sum()))
+
     def misplace(self, T_base_sensor: Poses, turn: NDArray[np.float64], shift: NDArray[np.float64]) -> Poses:
         """Return a sensor's pose (4, 4), metres, with an error of `turn` and `shift` (3,), in standard deviations.
 
@@ -161,17 +166,6 @@ class RobotTouches:
         gel, angle_rad = np.array([0.0, 0.0, self.geometry.standoff_m]), float(np.linalg.norm(turn_rad))
         R = rotation_about(turn_rad, angle_rad) if angle_rad > 0 else np.eye(3)
         return make_transform(R, gel - R @ gel + shift_m)
-
-
-def touches_enough(
-    depth_m: Float32, press_m: float, geometry: SensorGeometry, least_percent: float = LEAST_PERCENT
-) -> bool:
-    """Return whether at least `least_percent` of the observed pixels of a contact shape (H, W), metres, are in contact.
-
-    `press_m` is the press depth in metres. At least one pixel is in contact.
-    """
-    contact = (depth_m < np.float32(press_m)) & geometry.observed_mask
-    return bool(contact.sum() >= max(1.0, least_percent / 100 * geometry.observed_mask.sum()))
 
 
 def measure_noisily(

@@ -208,9 +208,7 @@ class ExampleDrawer:
                 continue
             T[2, 3] -= press_m
             scene = Scene(self.object, geometry.press(press_m, geometry.max_depth_m), renderer)
-            seen = geometry.observed_mask
-            contact = (scene.render_contact_depths(T[None])[0] < np.float32(press_m)) & seen
-            if contact.sum() >= max(1.0, robot.least_percent / 100 * seen.sum()):
+            if robot.touches_enough(scene.render_contact_depths(T[None])[0], press_m):
                 yield scene, T, own
 
     def _read(self, seen: Image | ContactShape) -> ContactShape:
