@@ -147,7 +147,7 @@ class RobotTouches:
             return error
 
     def touches_enough(self, depth_m: Float32, press_m: float) -> bool:
-        """Return whether enough pixels of a contact shape (H, W), metres, are in contact: `least_percent`, at least one."""
+        """Return whether enough pixels of a contact shape (H, W), metres, touch: `least_percent`, and one at least."""
         seen = self.geometry.observed_mask
         return bool(((depth_m < np.float32(press_m)) & seen).sum() >= max(1.0, self.least_percent / 100 * seen.sum()))
 
