@@ -52,16 +52,13 @@ def test_the_tip_moves_with_the_rotation_of_the_part():
     found = TipEstimate.of(fake_result([[0, 0, 0]], [1.0], covariance))
     assert found.std_m == pytest.approx(-TIP_Z_M * tilt_rad, rel=1e-3)
     assert found.near == 1.0
+    assert TipEstimate.of(fake_result([[0, 0, 0]], [1.0], None)).std_m == np.inf
 
 
 def test_a_pose_with_another_tip_counts_against_the_first_one():
     shifts = [[0, 0, 0], [0, 0, 0.5 * NEAR_M], [0, 0, 5 * NEAR_M]]
     found = TipEstimate.of(fake_result(shifts, [0.4, 0.2, 0.2], 1e-8 * np.eye(6)))
     assert found.near == pytest.approx(0.75)
-
-
-def test_an_unknown_covariance_is_never_small_enough():
-    assert TipEstimate.of(fake_result([[0, 0, 0]], [1.0], None)).std_m == np.inf
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -76,7 +73,7 @@ def test_all_placements_hold_the_upright_part(name):
         assert -10e-3 < gripper[2, 3] < 20e-3
 
 
-def rate(monkeypatch, gains, blocked=()):
+def rate(monkeypatch, gains, blocked):
     """Let `choose_next_touch` return these gains of single gels, and these approaches out of reach, by placement."""
     ranked = [SimpleNamespace(approach=SimpleNamespace(name=str(k)), information=gain) for k, gain in gains]
     outside = [(SimpleNamespace(name=str(k)), "would start inside") for k in blocked]
@@ -87,24 +84,20 @@ def rate(monkeypatch, gains, blocked=()):
     return SimpleNamespace(touch=SimpleNamespace(geometry=SimpleNamespace(surface_m=0.01)))
 
 
-def test_the_placement_whose_two_gels_tell_most_is_chosen(monkeypatch):
+@pytest.mark.parametrize(
+    ("gains", "blocked", "used", "chosen"),
+    [
+        ([(0, 0.9), (1, 0.6), (1, 0.5), (2, 0.8)], [], [], 1),  # its two gels tell most together
+        ([(0, 0.9), (1, 2.0), (2, 0.8)], [1], [], 0),  # a gel of the best one cannot start
+        ([(0, 0.9), (1, 0.1)], [], [0], 1),
+        ([(0, 0.9), (1, 0.1)], [], [0, 1, 2], 0),  # a used one is the last resort
+    ],
+)
+def test_the_free_unused_placement_that_tells_most_is_chosen(monkeypatch, gains, blocked, used, chosen):
     placements = list_placements(np.eye(4), PARTS["peg"]())[:3]
-    found = rate(monkeypatch, [(0, 0.9), (1, 0.6), (1, 0.5), (2, 0.8)])
-    assert controller.choose_placement(found, placements) is placements[1]
-
-
-def test_a_placement_with_a_gel_that_cannot_start_is_left_out(monkeypatch):
-    placements = list_placements(np.eye(4), PARTS["peg"]())[:3]
-    found = rate(monkeypatch, [(0, 0.9), (1, 2.0), (2, 0.8)], blocked=[1])
-    assert controller.choose_placement(found, placements) is placements[0]
-
-
-def test_a_used_placement_is_the_last_resort(monkeypatch):
-    placements = list_placements(np.eye(4), PARTS["peg"]())[:3]
-    found = rate(monkeypatch, [(0, 0.9), (1, 0.1)])
-    assert controller.choose_placement(found, placements, [placements[0].name]) is placements[1]
-    used = [placement.name for placement in placements]
-    assert controller.choose_placement(found, placements, used) is placements[0]
+    found = rate(monkeypatch, gains, blocked)
+    names = [placements[k].name for k in used]
+    assert controller.choose_placement(found, placements, names) is placements[chosen]
 
 
 def test_a_pose_moves_by_an_error_in_the_world():

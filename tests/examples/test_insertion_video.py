@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import headless
 import numpy as np
 import pytest
+from message_helpers import missing
 
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'tactile-loc[sim]'")
 
@@ -53,24 +54,19 @@ def test_the_picture_of_a_gel_has_its_top_above(store):
     assert (brighter[: GEL_PX[1] // 2].sum() > brighter[GEL_PX[1] // 2 :].sum()) == top
 
 
-def test_mujoco_loads_no_opengl_unless_it_draws(monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", "")  # so that it is restored
-    monkeypatch.delenv("MUJOCO_GL")
-    headless.choose_backend(drawing=False)
-    assert os.environ["MUJOCO_GL"] == "disable"
-
-
-def test_without_egl_osmesa_is_chosen_with_a_message(monkeypatch, capsys):
-    monkeypatch.setenv("MUJOCO_GL", "")  # so that it is restored
-    monkeypatch.delenv("MUJOCO_GL")
-    monkeypatch.setenv("PYOPENGL_PLATFORM", "")
+@pytest.mark.parametrize(
+    ("chosen", "drawing", "backend", "words"),
+    [("", False, "disable", []), ("", True, "osmesa", ["OSMesa"]), ("glfw", True, "glfw", [])],
+)
+def test_mujoco_draws_with_the_users_backend_or_osmesa_without_egl(
+    monkeypatch, capsys, chosen, drawing, backend, words
+):
+    for name in ("MUJOCO_GL", "PYOPENGL_PLATFORM"):
+        monkeypatch.setenv(name, chosen)
+    if not chosen:
+        monkeypatch.delenv("MUJOCO_GL")
     monkeypatch.setattr(headless.subprocess, "run", lambda *a, **k: SimpleNamespace(returncode=1))
-    headless.choose_backend(drawing=True)
-    assert os.environ["MUJOCO_GL"] == os.environ["PYOPENGL_PLATFORM"] == "osmesa"
-    assert "OSMesa" in capsys.readouterr().err
-
-
-def test_the_users_choice_is_kept(monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", "glfw")
-    headless.choose_backend(drawing=True)
-    assert os.environ["MUJOCO_GL"] == "glfw"
+    headless.choose_backend(drawing=drawing)
+    assert os.environ["MUJOCO_GL"] == backend
+    assert os.environ["PYOPENGL_PLATFORM"] == (backend if words else chosen)
+    assert not missing(capsys.readouterr().err, *words)

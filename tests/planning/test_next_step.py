@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from planning_helpers import join_boxes
 
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -24,12 +24,9 @@ ON_GEL = make_transform(rotation_about([1, 0, 0], np.pi), [0.0, 0.0, 0.0145])  #
 
 
 @pytest.fixture
-def plate(make_box) -> ObjectModel:
+def plate(make_object) -> ObjectModel:
     """Return a plate, 80 x 80 x 10 mm, with a knob of 3 mm on its top, 20 mm from its middle along +x."""
-    boxes = [(make_box(0.08, 0.08, 0.01).mesh, [0, 0, 0]), (make_box(0.003, 0.002, 0.003).mesh, [0.02, 0, 0.006])]
-    vertices = np.concatenate([mesh.vertices_m + np.array(shift) for mesh, shift in boxes])
-    faces = np.concatenate([mesh.faces + k * len(boxes[0][0].vertices_m) for k, (mesh, _) in enumerate(boxes)])
-    return ObjectModel("plate", TriangleMesh(vertices, faces), SymmetryGroup.parse("none", np.zeros(3)))
+    return make_object(join_boxes(((0.08, 0.08, 0.01), [0, 0, 0]), ((0.003, 0.002, 0.003), [0.02, 0, 0.006])))
 
 
 def located(obj: ObjectModel, poses: list[np.ndarray], p: list[float], T_base_sensor=None) -> Localization:

@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 import trimesh
 from message_helpers import naming
+from planning_helpers import GEL, PRESS_M, join_boxes, modes_of
 
 from tactile_loc.core.geometry.rigid import align_to_z, invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.gel import Gel
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.planning.clearance import Clearance, make_box_finger
 from tactile_loc.planning.next_touch import choose_next_touch, compute_expected_entropy, find_groups, foresee
-from tactile_loc.tracking.pose_modes import PoseModes, find_distinct_modes, join_modes
+from tactile_loc.tracking.pose_modes import PoseModes, join_modes
 
-GEL = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)  # 20 x 15 mm
-PRESS_M = 8e-4
 HALF_TURN = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
-
-
-def join_boxes(*boxes: tuple[Sequence[float], Sequence[float]]) -> trimesh.Trimesh:
-    """Return boxes with these sides and middles, in metres, as one surface."""
-    return trimesh.util.concatenate([trimesh.creation.box(sides).apply_translation(at) for sides, at in boxes])
 
 
 @pytest.fixture
@@ -54,37 +46,38 @@ def towards(direction, beside_m: float = 0.0, **given) -> Approach:
     return Approach(make_transform(R, start), **given)
 
 
-def modes_of(obj: ObjectModel, *poses: np.ndarray, p=None) -> PoseModes:
-    p = np.full(len(poses), 1 / len(poses)) if p is None else np.array(p)
-    return find_distinct_modes(obj, np.stack(poses), p, GEL, PRESS_M)
-
-
 def edge_of(direction, **given) -> Approach:
     """The same, shifted so that an edge of the box is on the sensor: a flat face alone is not a touch."""
     return towards(direction, beside_m=0.009, **given)
 
 
-SIDES = [edge_of(to, name=name) for name, to in (("top", [0, 0, -1]), ("front", [0, -1, 0]), ("knob", [-1, 0, 0]))]
+TOP, FRONT, KNOB = (
+    edge_of(to, name=name) for name, to in (("top", [0, 0, -1]), ("front", [0, -1, 0]), ("knob", [-1, 0, 0]))
+)
 
 
-def test_the_side_that_distinguishes_two_poses_is_chosen(knobbed):
-    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
-    found = choose_next_touch(modes, SIDES)
+@pytest.fixture
+def turned(knobbed) -> PoseModes:
+    """Return two equally probable poses, which differ by a half turn: only a touch of the knob tells them apart."""
+    return modes_of(knobbed, np.eye(4), HALF_TURN)
+
+
+def test_the_side_that_distinguishes_two_poses_is_chosen(turned):
+    found = choose_next_touch(turned, [TOP, FRONT, KNOB])
     assert found.best.approach.name == "knob"
     assert found.best.information == pytest.approx(np.log(2), abs=0.01)
     assert found.best.entropy == pytest.approx(0.0, abs=0.01)
     assert [rated.information for rated in found.ranked[1:]] == pytest.approx([0.0, 0.0], abs=1e-3)
     assert found.alike == ()
     assert found.doubt_left == 0
-    travel_m = choose_next_touch(modes, [towards([-1, 0, 0])]).best.travel_m
+    travel_m = choose_next_touch(turned, [towards([-1, 0, 0])]).best.travel_m
     assert np.sort(travel_m) == pytest.approx([0.027, 0.030], abs=1e-6)  # 50 mm less 23 to the knob, or 20
 
 
 def test_poses_that_no_touch_distinguishes_are_reported(make_box):
     box = make_box(0.04, 0.03, 0.02, symmetry="none")  # although the box has a symmetry
     found = choose_next_touch(
-        modes_of(box, np.eye(4), HALF_TURN, make_transform(np.eye(3), [0, 0, 3e-3]), p=[0.5, 0.3, 0.2]),
-        [edge_of([-1, 0, 0]), edge_of([0, 0, -1])],
+        modes_of(box, np.eye(4), HALF_TURN, make_transform(np.eye(3), [0, 0, 3e-3]), p=[0.5, 0.3, 0.2]), [KNOB, TOP]
     )
     assert found.alike == ((0, 1),)
     assert found.doubt_left == pytest.approx(0.3)
@@ -102,24 +95,20 @@ def test_touching_stops_if_only_a_blind_hole_differs(drilled):
     assert not choose_next_touch(deeper, [towards([0, 0, -1], beside_m=0.012, press_m=2.5e-3)]).stops
 
 
-def test_touching_goes_on_while_a_touch_can_help(knobbed):
-    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
-    top, knob = edge_of([0, 0, -1], name="top"), edge_of([-1, 0, 0], name="knob")
-    assert choose_next_touch(modes, [top]).stops
-    assert not choose_next_touch(modes, [top, knob]).stops
-    assert not choose_next_touch(dataclasses.replace(modes, unlisted=0.6), [top]).stops
-    assert not choose_next_touch(modes_of(knobbed, np.eye(4)), [top]).stops  # one pose: nothing to tell apart
+def test_touching_goes_on_while_a_touch_can_help(knobbed, turned):
+    assert choose_next_touch(turned, [TOP]).stops
+    assert not choose_next_touch(turned, [TOP, KNOB]).stops
+    assert not choose_next_touch(dataclasses.replace(turned, unlisted=0.6), [TOP]).stops
+    assert not choose_next_touch(modes_of(knobbed, np.eye(4)), [TOP]).stops  # one pose: nothing to tell apart
     third, beside = make_transform(np.eye(3), [0, 0, 3e-3]), towards([0, 0, -1], beside_m=0.015)
-    assert choose_next_touch(modes, [beside]).stops
+    assert choose_next_touch(turned, [beside]).stops
     assert not choose_next_touch(modes_of(knobbed, np.eye(4), HALF_TURN, third), [beside]).stops
 
 
-def test_touching_stops_if_the_finger_cannot_reach_what_differs(knobbed):
+def test_touching_stops_if_the_finger_cannot_reach_what_differs(turned):
     pytest.importorskip("fcl", reason="python-fcl is not installed")
-    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
-    top, knob = edge_of([0, 0, -1], name="top"), edge_of([-1, 0, 0], name="knob")
     clearance = Clearance(make_box_finger((0.06, 0.06, 0.03), GEL), floor_m=-0.015)
-    found = choose_next_touch(modes, [top, knob], clearance=clearance)
+    found = choose_next_touch(turned, [TOP, KNOB], clearance=clearance)
     assert [approach.name for approach, _ in found.out_of_reach] == ["knob"]
     assert found.stops
 
@@ -131,32 +120,27 @@ def test_poses_that_are_equal_by_symmetry_are_merged(make_box):
     assert np.allclose(modes.T_base_object[0], np.eye(4))
 
 
-def test_an_approach_out_of_reach_is_never_chosen(knobbed):
-    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
+def test_an_approach_out_of_reach_is_never_chosen(turned):
     inside = Approach(make_transform(align_to_z([-1, 0, 0]).T, np.zeros(3)))
     far = towards([-1, 0, 0], cost=np.inf, name="far")
-    found = choose_next_touch(modes, [far, edge_of([0, 0, -1], name="top"), inside])
+    found = choose_next_touch(turned, [far, TOP, inside])
     assert [rated.approach.name for rated in found.ranked] == ["top"]
     assert [name.name for name, _ in found.out_of_reach] == ["far", ""]
     assert "inside" in found.out_of_reach[1][1]
     with pytest.raises(ConfigError, match=naming(1, "infinite")):
-        choose_next_touch(modes, [towards([-1, 0, 0])], cost=lambda approach: np.inf)
+        choose_next_touch(turned, [KNOB], cost=lambda approach: np.inf)
 
 
-def test_information_is_divided_by_its_cost(knobbed):
-    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
-    near, far = edge_of([-1, 0, 0], name="near"), edge_of([1, 0, 0], name="far")
-    for cheap in (near, far):
-        found = choose_next_touch(
-            modes, [near, far], cost=lambda approach, cheap=cheap: 1.0 if approach is cheap else 3.0
-        )
+def test_information_is_divided_by_its_cost(turned):
+    both = [KNOB, edge_of([1, 0, 0])]
+    for cheap in both:
+        found = choose_next_touch(turned, both, cost=lambda approach, cheap=cheap: 1.0 if approach is cheap else 3.0)
         assert found.best.approach is cheap
         assert found.best.worth == pytest.approx(3 * found.ranked[1].worth, rel=0.01)
 
 
-def test_a_press_without_contact_has_no_information(knobbed):
-    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
-    (short,) = choose_next_touch(modes, [towards([-1, 0, 0], travel_m=0.02)]).ranked
+def test_a_press_without_contact_has_no_information(turned):
+    (short,) = choose_next_touch(turned, [towards([-1, 0, 0], travel_m=0.02)]).ranked
     assert (short.information, short.meets) == (0.0, 0.0)
     assert np.isnan(short.travel_m).all()
 
@@ -165,7 +149,7 @@ def test_a_rotation_of_the_base_does_not_change_the_choice(knobbed):
     T = make_transform(rotation_about([1, 2, 3], 1.0), [0.1, -0.2, 0.3])
     modes = modes_of(knobbed, np.eye(4), HALF_TURN, make_transform(np.eye(3), [2e-3, 0, 0]))
     moved = dataclasses.replace(modes, T_base_object=T @ modes.T_base_object)
-    here = [edge_of([-1, 0, 0]), edge_of([0, 0, -1])]
+    here = [KNOB, TOP]
     there = [dataclasses.replace(a, T_base_sensor=T @ a.T_base_sensor) for a in here]
     one, other = (choose_next_touch(*given).ranked for given in ((modes, here), (moved, there)))
     assert [r.information for r in one] == pytest.approx([r.information for r in other], abs=0.02)
@@ -207,7 +191,7 @@ def test_the_side_that_distinguishes_two_objects_is_chosen(knobbed, make_box):
     assert [obj for obj, _ in modes.by_object] == [plain, knobbed]
     assert modes.probabilities.tolist() == pytest.approx([5 / 9, 4 / 9])
     assert modes.unlisted == pytest.approx(0.1)
-    found = choose_next_touch(modes, SIDES)
+    found = choose_next_touch(modes, [TOP, FRONT, KNOB])
     assert found.best.approach.name == "knob"
     assert found.best.entropy == pytest.approx(0.0, abs=0.01)
     assert [rated.information for rated in found.ranked[1:]] == pytest.approx([0.0, 0.0], abs=1e-3)
@@ -216,7 +200,7 @@ def test_the_side_that_distinguishes_two_objects_is_chosen(knobbed, make_box):
     shown = found.contacts(found.ranked[-1])
     assert np.array_equal(shown[0], shown[1])
     assert not np.array_equal(*found.contacts(found.best))
-    assert choose_next_touch(modes, [edge_of([0, 0, -1])]).stops
+    assert choose_next_touch(modes, [TOP]).stops
 
 
 def test_the_likeliest_pairs_of_object_and_pose_are_kept(knobbed, make_box):
@@ -237,10 +221,9 @@ def test_groups_join_modes_that_are_alike_directly_or_indirectly():
     assert find_groups(np.eye(3, dtype=bool)) == ()
 
 
-def test_an_approach_may_be_given_by_its_start_pose_alone(knobbed):
-    modes, given = modes_of(knobbed, np.eye(4), HALF_TURN), [edge_of([0, 0, -1]), edge_of([-1, 0, 0])]
-    alone = choose_next_touch(modes, [approach.T_base_sensor for approach in given])
-    named = choose_next_touch(modes, given)
+def test_an_approach_may_be_given_by_its_start_pose_alone(turned):
+    alone = choose_next_touch(turned, [approach.T_base_sensor for approach in (TOP, KNOB)])
+    named = choose_next_touch(turned, [TOP, KNOB])
     assert [r.information for r in alone.ranked] == [r.information for r in named.ranked]
     assert {r.approach.name for r in alone.ranked} <= {"1", "2"}
 
@@ -257,14 +240,9 @@ def test_invalid_approaches_and_modes_are_refused(knobbed):
             choose_next_touch(modes, approaches)
 
 
-SOFT = dataclasses.replace(GEL, gel=Gel(4e-3))
-
-
-def test_an_elastic_gel_is_predicted_with_its_surface(knobbed):
-    modes = modes_of(knobbed, np.eye(4), HALF_TURN)
-    soft = dataclasses.replace(modes, geometry=SOFT)
-    approaches = [edge_of([-1, 0, 0], name="knob"), edge_of([0, 0, -1], name="top")]
-    found, rigid = choose_next_touch(soft, approaches), choose_next_touch(modes, approaches)
+def test_an_elastic_gel_is_predicted_with_its_surface(turned):
+    soft = dataclasses.replace(turned, geometry=dataclasses.replace(GEL, gel=Gel(4e-3)))
+    found, rigid = (choose_next_touch(modes, [KNOB, TOP]) for modes in (soft, turned))
     assert found.best.approach.name == "knob"
     press = np.float32(PRESS_M)
     shown, sharp = (chosen.contacts(chosen.best)[0] < press for chosen in (found, rigid))

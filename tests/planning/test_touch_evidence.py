@@ -6,15 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from planning_helpers import GEL, PRESS_M
 
 from tactile_loc.core.places.imprints import compare_imprints
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import deform_gel, find_touching, mark_touching
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.planning.touch_evidence import compare_contacts, compare_elastic_contacts
-
-GEL = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)  # 20 x 15 mm
-PRESS_M = 8e-4
 
 
 def test_distances_in_nats_equal_differences_of_evidence():
