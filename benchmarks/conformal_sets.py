@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import make_parser, make_source, open_asked
 from elastic_gel import SIZES_PX, press_elastic, view_as
 from outside import UnseenNoise
 
@@ -36,7 +37,6 @@ from tactile_loc.evaluation.robot_touches import RobotTouches, measure_noisily
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.probability.conformal import LISTED
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 SENSOR = "gelsight-mini"
@@ -122,15 +122,13 @@ def summarise(rows: list[Row]) -> Iterator[str]:
 
 def main() -> None:
     """Measure, print a table, and write the examples as JSON if requested."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=["damping_pin"])
+    parser = make_parser(__doc__, ["damping_pin"])
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 3])
     parser.add_argument("--examples", type=int, default=20)
     parser.add_argument("--coverage", type=float, default=0.95)
     parser.add_argument("--seed", type=int, default=101)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
-    raycast = registry().create("renderer", "raycast", {})
     sensor = {"name": SENSOR, "image_size_px": SIZES_PX[SENSOR]}
     layer = {**sensor, "gel": "layer", "gel_thickness_mm": 1e3 * (GEL.thickness_m or 0), "poisson": GEL.poisson}
     rows: list[Row] = []
@@ -139,14 +137,13 @@ def main() -> None:
         "| object | touches | case | examples | contains the pose | with elsewhere | poses, median | poses, 90 % |\n"
         "|---|---|---|---|---|---|---|---|"
     )
-    for mesh in arguments.meshes:
-        path, _, units = mesh.partition(":")
+    for mesh in arguments.objects:
         with tempfile.TemporaryDirectory() as folder:
             rigid, elastic = (
-                Localizer.create(path, units=units or "auto", store=StageStore(Path(folder)), sensor=chosen)
+                open_asked(mesh, store=StageStore(Path(folder)), sensor=chosen)
                 for chosen in ({**sensor, "gel": "rigid"}, layer)
             )
-            source = RobotTouches(rigid.object, rigid.scene.geometry, raycast)
+            source = make_source(rigid.object, rigid.scene.geometry)
             fits.append(fit(elastic))
             mine: list[Row] = []
             for row in measure_object(elastic, source, arguments):

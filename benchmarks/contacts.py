@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from asked import load_asked, make_parser, make_source, open_asked
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
@@ -42,10 +43,8 @@ from tactile_loc.core.sensing.noise import NOISE, TouchNoise
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.localization import Agreement, Localization
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 WITHIN_MM = (0.5, 1.0)
@@ -105,8 +104,7 @@ def draw_examples(arguments: argparse.Namespace, touches: RobotTouches) -> Itera
 def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> list[dict[str, Any]]:
     """Return a row for each number of touches of one object and sensor."""
     geometry = localizer.scene.geometry
-    raycast = registry().create("renderer", "raycast", {})
-    source = RobotTouches(localizer.object, geometry, raycast, **LEVELS[level])
+    source = make_source(localizer.object, geometry, **LEVELS[level])
     counts = [2] if arguments.fingers else sorted(arguments.touches)
     found: dict[int, list[Located]] = {n: [] for n in counts}
     seconds: dict[int, list[float]] = {n: [] for n in counts}
@@ -175,10 +173,7 @@ def measure_outliers(
     localizer: Localizer, other: ObjectModel, arguments: argparse.Namespace, level: str
 ) -> list[dict[str, Any]]:
     """Return a row for each number of touches and each kind of error in one touch."""
-    raycast = registry().create("renderer", "raycast", {})
-    ours, theirs = (
-        RobotTouches(obj, localizer.scene.geometry, raycast, **LEVELS[level]) for obj in (localizer.object, other)
-    )
+    ours, theirs = (make_source(obj, localizer.scene.geometry, **LEVELS[level]) for obj in (localizer.object, other))
     rows: dict[tuple[int, str], list[tuple[str, float]]] = {(n, kind): [] for n in arguments.touches for kind in KINDS}
     for n, number in itertools.product(arguments.touches, range(arguments.examples)):
         wrong, example = spoil(ours, theirs, n, np.random.default_rng([arguments.seed, number]))
@@ -208,8 +203,7 @@ def measure_outliers(
 
 def main() -> None:
     """Measure, print a table, and write the rows as JSON if requested."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=read_split("demo"))
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--sensors", nargs="+", default=["gelslim", "gelsight-mini"])
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 5])
     parser.add_argument("--examples", type=int, default=40)
@@ -225,12 +219,11 @@ def main() -> None:
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
     print(write_heading(arguments), flush=True)
-    for mesh, after in zip(arguments.meshes, [*arguments.meshes[1:], arguments.meshes[0]], strict=True):
-        path, _, units = mesh.partition(":")
+    for mesh, after in zip(arguments.objects, [*arguments.objects[1:], arguments.objects[0]], strict=True):
         for sensor in arguments.sensors:
             with tempfile.TemporaryDirectory() as store:
-                localizer = Localizer.create(
-                    path, units=units or "auto", store=StageStore(Path(store)), sensor=sensor,
+                localizer = open_asked(
+                    mesh, store=StageStore(Path(store)), sensor=sensor,
                     together=arguments.together,
                     grid={"name": "whole"}
                     if arguments.spacing_mm is None
@@ -238,9 +231,7 @@ def main() -> None:
                 )  # fmt: skip
                 for level in arguments.levels or LEVELS:
                     if arguments.outliers:
-                        other_path, _, other_units = after.partition(":")
-                        other = load_object(other_path, other_units or "auto")
-                        found = measure_outliers(localizer, other, arguments, level)
+                        found = measure_outliers(localizer, load_asked(after), arguments, level)
                     else:
                         found = measure(localizer, arguments, level)
                     for row in found:

@@ -15,6 +15,7 @@ import argparse
 import dataclasses
 
 import numpy as np
+from asked import load_asked, make_parser, make_source
 from contacts import LEVELS
 from joint import move_near
 from scipy.stats import chi2
@@ -25,8 +26,6 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.evaluation.metrics import compute_nees
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.slots.registry import registry
 
 MILD = dataclasses.replace(NOISE["mild"], press_share=(1.0, 1.0))
@@ -36,12 +35,11 @@ HYPOTHESES, NEAR_MM = 4, 3.0
 
 def measure_errors(path: str, level: str, touches: int, arguments: argparse.Namespace) -> list[tuple[float, float]]:
     """Return the error, mm, and the normalised estimation error squared of each example of one object."""
-    name, _, units = path.partition(":")
-    obj = load_object(name, units or "auto", "auto")
+    obj = load_asked(path)
     geometry = registry().create("sensor", arguments.sensor, {}).geometry
     scene = Scene(obj, geometry, registry().create("renderer", "heightmap", {}))
     refiner, metric = registry().create("refiner", "joint", {}), PoseMetric(obj)
-    source = RobotTouches(obj, geometry, registry().create("renderer", "raycast", {}), **CASES[level])
+    source = make_source(obj, geometry, **CASES[level])
     found = []
     for number in range(arguments.examples):
         rng = np.random.default_rng([arguments.seed, number])
@@ -64,8 +62,7 @@ def measure_errors(path: str, level: str, touches: int, arguments: argparse.Name
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=["pin", "damping_pin", "head", "hook"])
+    parser = make_parser(__doc__, ["pin", "damping_pin", "head", "hook"])
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--touches", type=int, nargs="+", default=[2, 3, 5])
     parser.add_argument("--examples", type=int, default=40)
@@ -74,7 +71,7 @@ def main() -> None:
     print("| level | touches | within 3 mm | error, mm | NEES | in 50 % | in 95 % |\n|---|---|---|---|---|---|---|")
     for level in CASES:
         for touches in arguments.touches:
-            found = [measure_errors(path, level, touches, arguments) for path in arguments.meshes]
+            found = [measure_errors(path, level, touches, arguments) for path in arguments.objects]
             off_mm, nees = np.concatenate([np.array(one) for one in found]).T
             near_by = off_mm < NEAR_MM
             inside = [float((nees[near_by] < chi2.ppf(share, 6)).mean()) for share in (0.5, 0.95)]

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import make_parser, open_asked
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.geometry.rigid import invert
@@ -74,8 +75,7 @@ def measure(localizer: Localizer, touches: int, arguments: argparse.Namespace) -
 
 def main() -> None:
     """Measure, print a table, and write the rows as JSON if requested."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=read_split("demo"))
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 7])
     parser.add_argument("--examples", type=int, default=100)
     parser.add_argument("--spacing-mm", type=float, default=4.0)
@@ -86,11 +86,10 @@ def main() -> None:
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
     print(f"{'object':14s} touches   fused 50 80 95 %     product 50 80 95 %")
-    for mesh in arguments.meshes:
-        path, _, units = mesh.partition(":")
+    for mesh in arguments.objects:
         with tempfile.TemporaryDirectory() as store:
-            localizer = Localizer.create(
-                path, units=units or "auto", store=StageStore(Path(store)), sensor=arguments.sensor,
+            localizer = open_asked(
+                mesh, store=StageStore(Path(store)), sensor=arguments.sensor,
                 grid="whole" if arguments.whole else {"name": "face", "spacing_mm": arguments.spacing_mm},
             )  # fmt: skip
             for touches in arguments.touches:

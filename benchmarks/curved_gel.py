@@ -9,20 +9,18 @@ mean square over the surface, modulo symmetry), the share within 1 mm, and the s
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import tempfile
 from pathlib import Path
 
 import numpy as np
+from asked import make_parser, make_source
 from contacts import Located, locate
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 CASES = {  # sensor that is touched, sensor whose geometry is used for locating
@@ -47,12 +45,10 @@ def find(localizer: Localizer, touches: list[Touch]) -> Located:
 
 def main() -> None:
     """Measure, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=read_split("pins"))
+    parser = make_parser(__doc__, read_split("pins"))
     parser.add_argument("--examples", type=int, default=30)
     parser.add_argument("--seed", type=int, default=7)
     arguments = parser.parse_args()
-    raycast = registry().create("renderer", "raycast", {})
     print("| object | touches | | median, mm | within 1 mm | any within 1 mm |\n|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         store = StageStore(Path(folder))
@@ -63,7 +59,7 @@ def main() -> None:
             }
             for count in (1, 3):
                 for case, (touched, taken_for) in CASES.items():
-                    source = RobotTouches(localizers[touched].object, localizers[touched].scene.geometry, raycast)
+                    source = make_source(localizers[touched].object, localizers[touched].scene.geometry)
                     localizer = localizers[taken_for]
                     found = []
                     for number in range(arguments.examples):

@@ -14,13 +14,13 @@ Meshes are given as FILE[:UNITS] or a demo object's name.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+from asked import make_parser, make_source, name_asked, open_asked
 from numpy.typing import NDArray
 from tactile_loc_benchmark.sources.elastic import FAR_M, make_shape
 from tactile_loc_benchmark.sources.layer import press_layer
@@ -36,7 +36,6 @@ from tactile_loc.evaluation.metrics import compute_surface_distances
 from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 MM = 1e3
@@ -106,10 +105,7 @@ def write_row(name: str, case: str, found: Columns) -> str:
 
 def main() -> None:
     """Measure, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "objects", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects"
-    )
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--sensor", choices=list(SIZES_PX), default="gelsight-mini")
     parser.add_argument("--thickness-mm", type=float, default=4.0, help="of the elastic layer; inf for a half-space")
     parser.add_argument("--poisson", type=float, default=0.48)
@@ -117,7 +113,6 @@ def main() -> None:
     parser.add_argument("--examples", type=int, default=12)
     parser.add_argument("--seed", type=int, default=31)
     arguments = parser.parse_args()
-    raycast = registry().create("renderer", "raycast", {})
     gel = Gel(arguments.thickness_mm / MM, arguments.poisson)
     print(
         "| object | gel | one touch listed within 1 mm | one, ms | surface < 0.5 mm | of the determined | < 0.1 mm | "
@@ -127,7 +122,6 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         store = StageStore(Path(folder))
         for name in arguments.objects:
-            path, _, units = name.partition(":")
             sensor = {"name": arguments.sensor, "image_size_px": SIZES_PX[arguments.sensor]}
             layer = {
                 **sensor,
@@ -135,10 +129,8 @@ def main() -> None:
                 "gel_thickness_mm": min(arguments.thickness_mm, VERY_THICK_MM),
                 "poisson": arguments.poisson,
             }
-            elastic, rigid = (
-                Localizer.create(path, units=units or "auto", store=store, sensor=one) for one in (layer, sensor)
-            )
-            source = RobotTouches(rigid.object, rigid.scene.geometry, raycast)
+            elastic, rigid = (open_asked(name, store=store, sensor=one) for one in (layer, sensor))
+            source = make_source(rigid.object, rigid.scene.geometry)
             drawn = [
                 source.draw_example(arguments.touches, np.random.default_rng([arguments.seed, number]))[0]
                 for number in range(arguments.examples)
@@ -151,7 +143,7 @@ def main() -> None:
                 found = measure(localizer, examples)
                 for values, more in zip(total[case], found, strict=True):
                     values.extend(more)
-                print(write_row(Path(path).stem, case, found), flush=True)
+                print(write_row(name_asked(name), case, found), flush=True)
     for case in CASES:
         print(write_row("all", case, total[case]))
 

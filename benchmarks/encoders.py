@@ -22,17 +22,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import load_asked, make_parser, make_source
 from single_touch import choose_spacing, summarise_errors
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.evaluation.protocol import evaluate
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.reports.evaluation_figures import draw_violins
 from tactile_loc.slots.registry import registry
@@ -159,8 +158,7 @@ def search_whole(obj: ObjectModel, arguments: argparse.Namespace, name: str) -> 
     row["train_s"] = _read_notes(arguments.out).get(obj.name) if name == "moco" else None
     for level in LEVELS:
         noise = dataclasses.replace(NOISE[level], press_share=(1.0, 1.0))
-        renderer = registry().create("renderer", "raycast", {})
-        source = RobotTouches(obj, localizer.scene.geometry, renderer, noise=noise)
+        source = make_source(obj, localizer.scene.geometry, noise=noise)
         near: list[bool] = []
         listed: list[bool] = []
         for number in range(arguments.touches):
@@ -179,10 +177,9 @@ def compare_whole(arguments: argparse.Namespace) -> None:
     names = ["object", "places", "encoder", *(f"{what}, {level}" for level in LEVELS for what in ("near", "listed"))]
     print(f"| {' | '.join([*names, 'training, s'])} |\n|{'---|' * (len(names) + 1)}", flush=True)
     rows = []
-    for mesh in arguments.meshes or read_split("demo"):
-        path, _, units = mesh.partition(":")
+    for mesh in arguments.objects:
         for name in WHOLE_ENCODERS:
-            row = search_whole(load_object(path, units or "auto"), arguments, name)
+            row = search_whole(load_asked(mesh), arguments, name)
             cells = [f"{row[level][what]:.0%}" for level in LEVELS for what in ("near", "listed")]
             seconds = "" if row["train_s"] is None else f"{row['train_s']:.0f}"
             print(f"| {row['object']} | {row['places']} | {name} | {' | '.join(cells)} | {seconds} |", flush=True)
@@ -192,8 +189,7 @@ def compare_whole(arguments: argparse.Namespace) -> None:
 
 def main() -> None:
     """Run the benchmark, print its table, and write results.json and violins.png."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--poses", type=int, default=10_000, help="approximate poses of a grid")
     parser.add_argument("--touches", type=int, default=150)
     parser.add_argument("--noise", default="strong")
@@ -211,9 +207,8 @@ def main() -> None:
         return
     rows, runs = [], []
     print(write_header(), flush=True)
-    for mesh in arguments.meshes or read_split("demo"):
-        path, _, units = mesh.partition(":")
-        row, measured = measure(load_object(path, units or "auto"), arguments)
+    for mesh in arguments.objects:
+        row, measured = measure(load_asked(mesh), arguments)
         rows.append(row)
         runs += measured
         print(report(row), flush=True)

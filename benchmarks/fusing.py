@@ -15,13 +15,12 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from asked import load_asked, make_parser, open_asked
 from single_touch import choose_spacing
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 
 NUMBERS = (1, 2, 3, 5, 7)
@@ -29,10 +28,9 @@ NUMBERS = (1, 2, 3, 5, 7)
 
 def measure(path: str, arguments: argparse.Namespace, store: Path) -> str:
     """Return a row of the table: the poses, and the median and longest time, ms, for each of the `NUMBERS`."""
-    name, _, units = path.partition(":")
-    obj = load_object(name, units or "auto", "auto")
+    obj = load_asked(path)
     grid = {"name": "face", "spacing_mm": choose_spacing(obj, {}, arguments.poses)}
-    localizer = Localizer.create(name, units=units or "auto", grid=grid, store=StageStore(store))
+    localizer = open_asked(path, grid=grid, store=StageStore(store))
     most = max(NUMBERS)
     touches = localizer.simulate(arguments.examples * most, arguments.seed, noise="strong")
     posteriors = [localizer.posteriors([touch])[0] for touch in touches]
@@ -52,8 +50,7 @@ def measure(path: str, arguments: argparse.Namespace, store: Path) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--poses", type=int, default=20_000, help="approximate poses of a grid")
     parser.add_argument("--examples", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
@@ -62,7 +59,7 @@ def main() -> None:
     print(f"| object | poses | {' | '.join(map(str, NUMBERS))} |")
     print("|---" * (2 + len(NUMBERS)) + "|")
     with tempfile.TemporaryDirectory() as store:
-        for path in arguments.meshes or read_split("demo"):
+        for path in arguments.objects:
             print(measure(path, arguments, Path(store)), flush=True)
 
 

@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from asked import make_source, split_asked
 from contacts import LEVELS
 from generated_parts import list_likenesses
 from numpy.typing import NDArray
@@ -53,7 +54,6 @@ from tactile_loc.locate.probability.null_evidence import NullEvidence
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.result.verdict import judge as judge_pose
 from tactile_loc.planning.identification_files import AS_PROBABLE
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 TEMPERATURE = 0.05  # not fitted, because objects are weighed by their evidence
@@ -74,8 +74,8 @@ def open_search(arguments: argparse.Namespace) -> PartSearch:
     """Return the search of the library on disk, or of a library that is built there from the meshes."""
     config = RunConfig.from_dict({"sensor": arguments.sensor, "temperature": TEMPERATURE})
     if meshes := getattr(arguments, "meshes", ()):
-        given = [mesh.partition(":") for mesh in meshes]
-        sources = [one for path, _, units in given for one in list_meshes([path], units or "auto")]
+        given = [split_asked(mesh) for mesh in meshes]
+        sources = [one for path, units in given for one in list_meshes([path], units)]
         build_library(arguments.library, sources, PlaceGrid("whole", {}))
     return PartSearch(Library.open(arguments.library), config, StageStore(arguments.store))
 
@@ -95,17 +95,16 @@ def choose_among(search: PartSearch, name: str, size: int, rng: np.random.Genera
     return PartSearch(replace(search.library, rows=rows), search.config, search.store)
 
 
-def make_source(model: Localizer, level: str) -> RobotTouches:
+def suffer(model: Localizer, level: str) -> RobotTouches:
     """Return touches of a model's object with a level of SUFFERING, drawn by another renderer than the model's."""
-    raycast = registry().create("renderer", "raycast", {})
-    return RobotTouches(model.object, model.scene.geometry, raycast, **SUFFERING[level])
+    return make_source(model.object, model.scene.geometry, **SUFFERING[level])
 
 
 def draw_example(search: PartSearch, number: int, arguments: argparse.Namespace, again: int) -> list[Touch]:
     """Return the touches of one object. Examples with fewer touches use the first of these touches."""
     rng = np.random.default_rng([arguments.seed, *map(ord, search.names[number]), again])
     with search.use(number) as part:
-        return make_source(part.model, arguments.level).draw_example(max(arguments.touches), rng)[0]
+        return suffer(part.model, arguments.level).draw_example(max(arguments.touches), rng)[0]
 
 
 def measure_once(kept: Path | None, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:

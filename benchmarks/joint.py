@@ -14,6 +14,7 @@ import argparse
 import time
 
 import numpy as np
+from asked import load_asked, make_parser
 from contacts import LEVELS
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
@@ -21,7 +22,6 @@ from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.slots.registry import registry
 
 TURNED_DEG, MOVED_MM = 8.0, 2.0
@@ -30,8 +30,7 @@ AGAIN = 5  # repetitions of each measurement
 
 def measure(path: str, arguments: argparse.Namespace) -> str:
     """Return one row of the table."""
-    name, _, units = path.partition(":")
-    obj = load_object(name, units or "auto", "auto")
+    obj = load_asked(path)
     geometry = registry().create("sensor", arguments.sensor, {}).geometry
     scene = Scene(obj, geometry, registry().create("renderer", "raycast", {}))
     refiner = registry().create("refiner", "joint", {})
@@ -65,8 +64,7 @@ def move_near(T: np.ndarray, centroid_m: np.ndarray, rng: np.random.Generator) -
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=["pin", "head", "hook"])
+    parser = make_parser(__doc__, ["pin", "head", "hook"])
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--level", default="clean", choices=list(LEVELS))
     parser.add_argument("--touches", type=int, default=3)
@@ -75,7 +73,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     print("| object | faces | median, ms | error, mm |\n|---|---|---|---|")
-    for path in arguments.meshes:
+    for path in arguments.objects:
         print(measure(path, arguments), flush=True)
 
 

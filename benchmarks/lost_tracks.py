@@ -18,12 +18,12 @@ off (any pose, for another object). *Certain and right* is the share of all fram
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from asked import make_parser
 from sequences import FOUND_M, make_sliding, start_tracker, track
 from tactile_loc_benchmark.sliding_touches import Frame
 from tactile_loc_benchmark.suite import read_split
@@ -96,8 +96,7 @@ def write_row(name: str, kind: str, ratings: np.ndarray) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=read_split("demo"))
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--tracks", type=int, default=5, help="tracks of each object and kind")
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=KINDS)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from asked import make_parser, make_source, name_asked, open_asked
 from elastic_gel import SIZES_PX
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion
@@ -25,10 +26,8 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from tactile_loc.core.poses.tolerance import measure_surface_distances
 from tactile_loc.core.runtime.errors import NoContactError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 MM = 1e3
@@ -91,10 +90,9 @@ def locate(localizer: Localizer, touches: list[Touch], about: Found) -> Found:
 
 def measure(mesh: str, arguments: argparse.Namespace, store: StageStore) -> list[Found]:
     """Return the examples of one object."""
-    path, _, units = mesh.partition(":")
     sensor = {"name": arguments.sensor, "image_size_px": SIZES_PX[arguments.sensor]}
-    localizer = Localizer.create(path, units=units or "auto", store=store, sensor=sensor, grid=arguments.grid)
-    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+    localizer = open_asked(mesh, store=store, sensor=sensor, grid=arguments.grid)
+    source = make_source(localizer.object, localizer.scene.geometry)
     found = []
     for number in range(arguments.examples):
         drawn, _ = source.draw_example(max(arguments.touches), np.random.default_rng([arguments.seed, number]))
@@ -105,7 +103,7 @@ def measure(mesh: str, arguments: argparse.Namespace, store: StageStore) -> list
             except NoContactError:
                 continue
             for count in arguments.touches:
-                found.append(locate(localizer, touches[:count], Found(Path(path).stem, shown, count)))
+                found.append(locate(localizer, touches[:count], Found(name_asked(mesh), shown, count)))
     return found
 
 
@@ -122,8 +120,7 @@ def write_row(name: str, found: list[Found]) -> str:
 
 def main() -> None:
     """Measure, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=["pin", "cotter", "hook"], help="FILE[:UNITS] or a demo object")
+    parser = make_parser(__doc__, ["pin", "cotter", "hook"])
     parser.add_argument("--sensor", choices=list(SIZES_PX), default="gelsight-mini")
     parser.add_argument("--grid", default="whole")
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 3])

@@ -11,7 +11,6 @@ Meshes are given as FILE[:UNITS] or a demo object's name.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import tempfile
 from collections import Counter
@@ -22,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from asked import make_parser, make_source, split_asked
 from numpy.typing import NDArray
 from tactile_loc_benchmark.suite import read_split
 
@@ -29,11 +29,9 @@ from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_abo
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 SENSOR, OTHER_SENSOR = {"name": "gelsight-mini", "image_size_px": (160, 120)}, {"name": "digit"}
@@ -231,7 +229,7 @@ def touch_sphere_once(case: Case) -> Localization:
     rod = trimesh.creation.box((4e-3, 2e-3, 20e-3), make_transform(np.eye(3), [0.0, 0.0, 13e-3]))
     (ball + rod).export(path)
     localizer = case.make_localizer(str(path), "m")
-    source = make_source(localizer)
+    source = make_source(localizer.object, localizer.scene.geometry)
     T = make_transform(rotation_about([0, 1, 0], 0.9 * np.pi), [0.0, 0.0, 0.0])
     for _ in range(100):
         touch = source.approach(invert(T) @ make_transform(np.eye(3), [0, 0, -60e-3]), 1e-3, "ball", case.rng)
@@ -276,14 +274,9 @@ MISTAKES = (
 )
 
 
-def make_source(localizer: Localizer) -> RobotTouches:
-    """Return a source of touches that are drawn by ray casting."""
-    return RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
-
-
 def draw_touches(localizer: Localizer, count: int, rng: np.random.Generator) -> list[Touch]:
     """Draw touches of an object at rest, without their true poses."""
-    touches, _ = make_source(localizer).draw_example(count, rng)
+    touches, _ = make_source(localizer.object, localizer.scene.geometry).draw_example(count, rng)
     return [dataclasses.replace(touch, T_sensor_object=None) for touch in touches]
 
 
@@ -298,8 +291,7 @@ def judge_mistake(mistake: Mistake, case: Case) -> str:
 
 def main() -> None:
     """Make all mistakes, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=read_split("bent"), help="FILE[:UNITS] or a demo object's name")
+    parser = make_parser(__doc__, read_split("bent"))
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--only", help="make only the mistakes whose names contain this text")
     arguments = parser.parse_args()
@@ -321,12 +313,11 @@ def main() -> None:
 def make_cases(objects: Sequence[str], seeds: int, folder: Path, store: StageStore) -> Sequence[Case]:
     """Make a case for each object and seed. The wrong part of each object is the next object."""
     cases = []
-    for number, given in enumerate(objects):
-        name, _, units = given.partition(":")
-        other = objects[(number + 1) % len(objects)].partition(":")[0]
+    for number in range(len(objects)):
+        (name, units), (other, _) = (split_asked(objects[k % len(objects)]) for k in (number, number + 1))
         for seed in range(seeds):
             rng = np.random.default_rng([seed, number])
-            case = Case(name, other, units or "auto", folder, store, (), rng)
+            case = Case(name, other, units, folder, store, (), rng)
             drawn = draw_touches(case.localizer, TOUCHES, rng)
             cases.append(dataclasses.replace(case, touches=tuple(drawn)))
     return cases

@@ -12,12 +12,12 @@ has the share of examples that exclude this touch.
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from asked import make_parser
 from scipy.stats import chi2
 
 from tactile_loc.core.geometry.lie import compute_pose_errors
@@ -112,8 +112,7 @@ def write_row(level: str, count: int, found: list[Example | str], outlier: bool)
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=["pin", "head", "hook"])
+    parser = make_parser(__doc__, ["pin", "head", "hook"])
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--touches", type=int, nargs="+", default=[6, 10, 15])
     parser.add_argument("--levels", nargs="+", default=["none", "mild", "strong"], choices=list(NOISE))

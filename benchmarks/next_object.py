@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from identify import choose_among, choose_asked, make_source, measure_once, open_search
+from identify import choose_among, choose_asked, measure_once, open_search, suffer
 from tactile_loc_library.identification import identify_part
 from tactile_loc_library.search import PartSearch
 
@@ -116,7 +116,7 @@ def measure(search: PartSearch, name: str, level: str, arguments: argparse.Names
     rng = np.random.default_rng(seed)
     some = choose_among(search, name, arguments.among, rng)
     with search.use(search.names.index(name)) as part:
-        geometry, source = part.model.scene.geometry, make_source(part.model, level)
+        geometry, source = part.model.scene.geometry, suffer(part.model, level)
     example = Example(name, some, source, source.draw_example(arguments.touches, rng)[0], seed)
     said = example.identify()
     row = {"object": name, "level": level, "verdict": said.verdict.value}

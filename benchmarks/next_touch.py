@@ -44,6 +44,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from asked import make_parser, make_source, name_asked, open_asked
 from identify import measure_once
 from tactile_loc_benchmark.suite import read_split
 
@@ -61,7 +62,6 @@ from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.planning.approaches import draw_approaches_to_modes
 from tactile_loc.planning.next_touch import choose_next_touch
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 from tactile_loc.tracking.pose_modes import MOST_MODES, PoseModes
 
@@ -219,22 +219,17 @@ def count_touches(example: Example, choose: Choice, most: int) -> dict[str, int]
     return {**counts, "missed": missed, "more": len(chosen)}
 
 
-def measure(localizer: Localizer, arguments: argparse.Namespace) -> dict[str, Any]:
+def measure(mesh: str, arguments: argparse.Namespace) -> dict[str, Any]:
     """Measure all examples of one object."""
-    raycast, geometry = registry().create("renderer", "raycast", {}), localizer.scene.geometry
+    localizer = open_asked(mesh, sensor=arguments.sensor, store=StageStore(arguments.store))
+    geometry = localizer.scene.geometry
     seconds: list[float] = []
     counted, easy, undetermined = [], 0, 0
     for number in range(arguments.examples):
         level = arguments.levels[number % len(arguments.levels)]
         noise = NOISE[level]
-        source = RobotTouches(
-            localizer.object,
-            geometry,
-            raycast,
-            noise=noise,
-            sensor_std_m=noise.sensor_m,
-            sensor_std_rad=noise.sensor_rad,
-        )
+        errors = {"noise": noise, "sensor_std_m": noise.sensor_m, "sensor_std_rad": noise.sensor_rad}
+        source = make_source(localizer.object, geometry, **errors)
         seed = (arguments.seed, number)
         rng = np.random.default_rng(seed)
         (touch,), _ = source.draw_example(1, rng)
@@ -287,18 +282,9 @@ def write_line(name: str, rows: list[dict[str, Any]], methods: list[str], level:
     return f"| {' | '.join(cells)} |"
 
 
-def measure_mesh(path: str, units: str, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Measure the examples of the object of a mesh file."""
-    localizer = Localizer.create(
-        path, units=units or "auto", sensor=arguments.sensor, store=StageStore(arguments.store)
-    )  # fmt: skip
-    return measure(localizer, arguments)
-
-
 def main() -> None:
     """Measure, print a table, and keep each object's examples if requested."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects")
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--levels", nargs="+", default=["none", "mild"], choices=list(NOISE))
     parser.add_argument("--methods", nargs="+", default=list(METHODS[:3]), choices=METHODS)
@@ -315,10 +301,9 @@ def main() -> None:
     heads = [f"{m}: known | {m}: certain | {m}: x oracle | {m}: misses" for m in arguments.methods]
     columns = f"| object | examples | easy | undetermined | {' | '.join(heads)} | ms a choice |"
     print(f"{columns}\n{'|---' * (columns.count('|') - 1)}|")
-    for mesh in arguments.meshes:
-        path, _, units = mesh.partition(":")
-        kept = arguments.out / f"{Path(path).stem}.json" if arguments.out else None
-        rows.append(measure_once(kept, partial(measure_mesh, path, units, arguments)))
+    for mesh in arguments.objects:
+        kept = arguments.out / f"{name_asked(mesh)}.json" if arguments.out else None
+        rows.append(measure_once(kept, partial(measure, mesh, arguments)))
         print(write_line(rows[-1]["object"], rows[-1:], arguments.methods), flush=True)
     for level in arguments.levels:
         print(write_line(f"all, noise {level}", rows, arguments.methods, level))

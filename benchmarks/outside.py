@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import make_parser, make_source, open_asked
 from contacts import Located, locate
 from numpy.typing import NDArray
 from tactile_loc_benchmark.suite import read_split
@@ -31,7 +32,6 @@ from tactile_loc.core.sensing.noise import Float32, GelPixels, TouchNoise
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.meshes.mesh_files import simplify_mesh
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.simulate.contact_poses import draw_contact_poses
@@ -221,7 +221,7 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
     obj = localizers[1].object
     altered = dataclasses.replace(obj, mesh=alter(obj.mesh, np.random.default_rng(arguments.seed)))
     raycast = registry().create("renderer", "raycast", {})
-    around = RobotTouches(altered, localizers[3].scene.geometry, raycast, PRESS, noise=noise)
+    around = make_source(altered, localizers[3].scene.geometry, press=PRESS, noise=noise)
     rows = []
     for touches, localizer in localizers.items():
         found = []
@@ -247,8 +247,7 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
 
 def main() -> None:
     """Measure, print a table, and write the rows as JSON if requested."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=read_split("pins"))
+    parser = make_parser(__doc__, read_split("pins"))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--examples", type=int, default=20)
     parser.add_argument("--cases", nargs="+", default=list(CASES), choices=list(CASES))
@@ -257,14 +256,11 @@ def main() -> None:
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
     print("| object | drawn from | touches | median, mm | within 1 mm | any within 1 mm |\n|---|---|---|---|---|---|")
-    for mesh in arguments.meshes:
-        path, _, units = mesh.partition(":")
+    for mesh in arguments.objects:
         with tempfile.TemporaryDirectory() as folder:
             grids = {1: {"name": "face"}, 3: {"name": "whole"}}
             localizers = {
-                touches: Localizer.create(
-                    path, units=units or "auto", store=StageStore(Path(folder)), sensor=arguments.sensor, grid=grid
-                )
+                touches: open_asked(mesh, store=StageStore(Path(folder)), sensor=arguments.sensor, grid=grid)
                 for touches, grid in grids.items()
             }
             for case in arguments.cases:

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import load_asked, make_parser
 from numpy.typing import NDArray
 from single_touch import choose_spacing
 from tactile_loc_benchmark.suite import read_split
@@ -42,7 +43,6 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import SURFACE_POINTS
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.slots.refiner import Refiner
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
@@ -323,9 +323,8 @@ def run(arguments: argparse.Namespace) -> None:
     """Measure all meshes, and print the tables of each object when it is done."""
     compared, missing = list_refiners()
     records: list[Record] = []
-    for mesh in arguments.meshes or read_split("demo"):
-        path, _, units = mesh.partition(":")
-        bench = Bench(load_object(path, units or "auto"), arguments, compared)
+    for mesh in arguments.objects:
+        bench = Bench(load_asked(mesh), arguments, compared)
         for noise in arguments.noise.split(","):
             measured = bench.collect_records(noise, arguments.touches, arguments.seed)
             records += measured
@@ -341,8 +340,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def main() -> None:
     """Run the benchmark and print its tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--poses", type=int, default=10_000, help="approximate poses of a grid")
     parser.add_argument("--touches", type=int, default=40, help="touches of each noise")
     parser.add_argument("--noise", default="none,strong", help="noise levels of the touches, separated by commas")

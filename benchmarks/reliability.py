@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from asked import make_parser, make_source, open_asked
 from elastic_gel import SIZES_PX, press_elastic, view_as
 from tactile_loc_benchmark.suite import read_split
 
@@ -31,7 +32,6 @@ from tactile_loc.core.sensing.noise import NOISE, TouchNoise
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches, measure_noisily
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 MM = 1e3
@@ -84,20 +84,17 @@ def locate(localizer: Localizer, touches: list[Touch]) -> tuple[float, bool]:
     return first.probability, bool(MM * off_m[0] < RIGHT_MM)
 
 
-def measure(
-    path: str, units: str, layer: Gel, arguments: argparse.Namespace, store: StageStore
-) -> tuple[list[Stated], int]:
+def measure(mesh: str, layer: Gel, arguments: argparse.Namespace, store: StageStore) -> tuple[list[Stated], int]:
     """Return the first poses of one object's examples, and the number of examples that ended in an error."""
-    raycast = registry().create("renderer", "raycast", {})
     rigid = {"name": arguments.sensor, "image_size_px": SIZES_PX[arguments.sensor]}
     elastic = {**rigid, "gel": "layer", "gel_thickness_mm": arguments.thickness_mm, "poisson": arguments.poisson}
     found, failed = [], 0
     for name, sensor, gel in (("rigid", rigid, Gel()), ("layer", elastic, layer)):
         if name not in arguments.gels:
             continue
-        localizer = Localizer.create(path, units=units or "auto", store=store, sensor=sensor)
+        localizer = open_asked(mesh, store=store, sensor=sensor)
         geometry = dataclasses.replace(localizer.scene.geometry, gel=Gel())
-        source = RobotTouches(localizer.object, geometry, raycast)
+        source = make_source(localizer.object, geometry)
         for number in range(arguments.examples):
             level = arguments.noise[number % len(arguments.noise)]
             rng = np.random.default_rng([arguments.seed, number])
@@ -123,10 +120,7 @@ def write_row(name: str, found: list[Stated]) -> str:
 
 def main() -> None:
     """Measure, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "objects", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects"
-    )
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--sensor", choices=list(SIZES_PX), default="gelsight-mini")
     parser.add_argument("--gels", nargs="+", choices=("rigid", "layer"), default=["rigid", "layer"])
     parser.add_argument("--thickness-mm", type=float, default=4.0, help="of the elastic layer")
@@ -141,8 +135,7 @@ def main() -> None:
     failed = 0
     with tempfile.TemporaryDirectory() as folder:
         for mesh in arguments.objects:
-            path, _, units = mesh.partition(":")
-            more, errors = measure(path, units, layer, arguments, StageStore(Path(folder)))
+            more, errors = measure(mesh, layer, arguments, StageStore(Path(folder)))
             found, failed = found + more, failed + errors
     bins = " | ".join(f"{low:.0%} to {high:.0%}" for low, high in itertools.pairwise(BINS))
     print(f"| gel | touches | noise | all | {bins} |\n|{'---|' * (len(BINS) + 3)}")

@@ -15,13 +15,13 @@ all poses of the object. Therefore an image that looks like another place of the
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import make_parser
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 from tactile_loc.tracking.replay import Replay
-from tactile_loc.tracking.replay_files import Replayed, replay_to
+from tactile_loc.tracking.replay_files import Replayed, ReplayOutput, locate_each_to
 
 POSE_TOPIC = "/object/pose"
 NEAR_M = 1e-3
@@ -68,7 +68,7 @@ def replay(localizer: Localizer, source: Path, out: Path) -> tuple[Replayed, flo
     counts = recording.read_contents().counts
     topic = next(topic for topic in counts if topic.name == IMAGE_TOPIC)
     asked = Replay(recording, topic, localizer, base_frame=BASE, frame_tree=recording.read_frame_tree())
-    found = replay_to(out, asked, counts[topic], POSE_TOPIC, estimator=estimate)
+    found = locate_each_to(ReplayOutput(out, POSE_TOPIC), asked, counts[topic], estimate)
     return found, time.perf_counter() - start, locating_s
 
 
@@ -105,8 +105,7 @@ def write_row(localizer: Localizer, slide: Slide, level: str, folder: Path) -> s
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=["hook", "head"])
+    parser = make_parser(__doc__, ["hook", "head"])
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--levels", nargs="+", default=["none", "mild"], choices=list(NOISE))
     parser.add_argument("--images", type=int, default=500)

@@ -26,15 +26,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import make_parser, make_source, open_asked
 from contacts import LEVELS, Located, locate
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 AREAS = (0.0, 0.01, 0.03, 0.1, 1.0)  # limits of the contact area, share of the sensor
@@ -43,9 +42,8 @@ NEAR_MM = 1.0
 
 def create(path: str, arguments: argparse.Namespace, sensor: str, store: Path) -> Localizer:
     """Return a localizer of the object in a mesh file."""
-    name, _, units = path.partition(":")
     chosen = {slot: json.loads(given) for slot in ("grid", "encoder") if (given := getattr(arguments, slot))}
-    return Localizer.create(name, units=units or "auto", sensor=sensor, store=StageStore(store), **chosen)
+    return open_asked(path, sensor=sensor, store=StageStore(store), **chosen)
 
 
 def measure_peak_memory_mb() -> float:
@@ -87,8 +85,7 @@ def measure_nearest_m(answer: Localization, touch: Touch) -> float:
 
 def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> list[dict[str, float]]:
     """Return the result of each touch."""
-    raycast = registry().create("renderer", "raycast", {})
-    source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, **LEVELS[level])
+    source = make_source(localizer.object, localizer.scene.geometry, **LEVELS[level])
     found = []
     for number in range(-1, arguments.touches):
         (touch,), _ = source.draw_example(1, np.random.default_rng([arguments.seed, max(number, 0)]))
@@ -130,8 +127,7 @@ def write_line(start: list[str], one: dict[str, float]) -> str:
 
 def main() -> None:
     """Measure, print tables, and write the rows as JSON if requested."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects")
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--sensors", nargs="+", default=["gelslim", "gelsight-mini"])
     parser.add_argument("--level", default="clean", choices=list(LEVELS))
     parser.add_argument("--touches", type=int, default=200)
@@ -144,7 +140,7 @@ def main() -> None:
     print("| object | sensor | places | build, s | fit, s | memory, GB | MB | open, s | touches | first | among ten | "
           "ambiguous | not listed | not found | median, ms | 95 %, ms |")  # fmt: skip
     print("|---" * 16 + "|")
-    for path in arguments.meshes:
+    for path in arguments.objects:
         for sensor in arguments.sensors:
             with tempfile.TemporaryDirectory() as store:
                 localizer, about = build_model(path, arguments, sensor, Path(store))

@@ -17,15 +17,14 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from asked import load_asked, make_parser, make_source
 from matplotlib.ticker import NullFormatter
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 from tactile_loc.view.pictures import make_figure, save_figure
 
@@ -49,7 +48,7 @@ def measure(obj: ObjectModel, directions: int, arguments: argparse.Namespace) ->
     with tempfile.TemporaryDirectory() as store:
         localizer, start = Localizer(config, obj, StageStore(Path(store))), time.perf_counter()
         places_s = time.perf_counter() - start
-        source = RobotTouches(obj, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+        source = make_source(obj, localizer.scene.geometry)
         seconds = []
         for number in range(arguments.touches + 1):  # the first call warms up
             (touch,), _ = source.draw_example(1, np.random.default_rng([arguments.seed, number]))
@@ -91,8 +90,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     """Measure, print a table, and draw it if requested."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", default=read_split("demo"))
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--touches", type=int, default=7)
     parser.add_argument("--seed", type=int, default=17)
@@ -101,9 +99,8 @@ def main() -> None:
     rows = []
     print("| object | diagonal, mm | directions | poses, million | places, s | one touch, ms |")
     print("|---" * 6 + "|")
-    for path in arguments.meshes:
-        name, _, units = path.partition(":")
-        obj = load_object(name, units or "auto")
+    for path in arguments.objects:
+        obj = load_asked(path)
         jobs = [(scale, DIRECTIONS[1]) for scale in SCALES] + [(1.0, n) for n in DIRECTIONS if n != DIRECTIONS[1]]
         for scale, directions in jobs:
             row = {"object": obj.name, "scale": scale, **measure(scale_object(obj, scale), directions, arguments)}

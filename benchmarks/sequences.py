@@ -18,13 +18,13 @@ The table counts this at once for one frame alone, and later for the tracker's f
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from asked import make_parser, make_source
 from scipy.stats import chi2
 from tactile_loc_benchmark.sliding_touches import Frame, SlidingTouches, Slip
 from tactile_loc_benchmark.suite import read_split
@@ -38,7 +38,6 @@ from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import compute_nees
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
@@ -63,11 +62,8 @@ class Followed(NamedTuple):
 
 def make_sliding(localizer: Localizer) -> SlidingTouches:
     """Return sequences of the localizer's object, drawn by another renderer than the localizer's."""
-    renderer = registry().create("renderer", "raycast", {})
-    return SlidingTouches(RobotTouches(
-        localizer.object, localizer.sensor.geometry, renderer, noise=NOISE["mild"], sensor_std_m=SENSOR_STD_M,
-        sensor_std_rad=SENSOR_STD_RAD,
-    ))  # fmt: skip
+    errors = {"noise": NOISE["mild"], "sensor_std_m": SENSOR_STD_M, "sensor_std_rad": SENSOR_STD_RAD}
+    return SlidingTouches(make_source(localizer.object, localizer.sensor.geometry, **errors))
 
 
 def start_tracker(localizer: Localizer, frames: Sequence[Frame], rng: np.random.Generator) -> Tracker:
@@ -216,8 +212,7 @@ def is_near(metric: PoseMetric, poses: np.ndarray, frame: Frame, near_m: float) 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=read_split("demo"))
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--sensor", default="gelsight-mini")
     parser.add_argument("--frames", type=int, default=500)
     parser.add_argument("--jumps", type=int, default=5, help="jumps of each object")

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import load_asked, make_parser
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.objects.mesh import ObjectModel
@@ -25,7 +26,6 @@ from tactile_loc.evaluation.protocol import STAGES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.config import RunConfig
-from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.store.store import StageStore
 
@@ -87,8 +87,7 @@ def report(row: dict) -> str:  # type: ignore[type-arg]
 
 def main() -> None:
     """Run the benchmark and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: the demo objects")
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--poses", type=int, default=10_000, help="approximate poses of a grid")
     parser.add_argument("--touches", type=int, default=200)
     parser.add_argument("--sensor", default="gelslim")
@@ -97,9 +96,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the rows here")
     arguments = parser.parse_args()
     rows = []
-    for mesh in arguments.meshes or read_split("demo"):
-        path, _, units = mesh.partition(":")
-        rows.append(measure(load_object(path, units or "auto"), arguments))
+    for mesh in arguments.objects:
+        rows.append(measure(load_asked(mesh), arguments))
         print(report(rows[-1]), flush=True)
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1) + "\n")

@@ -24,14 +24,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from asked import make_parser, make_source, name_asked, open_asked
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import compute_surface_distances
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 MS = 1e3
@@ -50,9 +49,8 @@ def misplace(touches: list[Touch]) -> list[Touch]:
 
 def measure(mesh: str, arguments: argparse.Namespace, store: StageStore) -> Iterator[Row]:
     """Yield a row for each number of touches of one object, in this process's threads."""
-    path, _, units = mesh.partition(":")
-    localizer = Localizer.create(path, units=units or "auto", sensor=arguments.sensor, store=store)
-    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+    localizer = open_asked(mesh, sensor=arguments.sensor, store=store)
+    source = make_source(localizer.object, localizer.scene.geometry)
     examples = [
         source.draw_example(max(arguments.touches), np.random.default_rng([arguments.seed, number]))[0]
         for number in range(arguments.examples + LOADING)
@@ -64,7 +62,7 @@ def measure(mesh: str, arguments: argparse.Namespace, store: StageStore) -> Iter
             middle = {name: float(np.median([row[name] for row in rows])) for name in (*STAGES, "all")}
             last = float(np.quantile([row["all"] for row in rows], 0.95))
             right = float(np.mean([row["right"] for row in rows]))
-            yield {"object": Path(path).stem, "touches": count, "kind": kind, **middle, "last": last, "right": right}
+            yield {"object": name_asked(mesh), "touches": count, "kind": kind, **middle, "last": last, "right": right}
 
 
 def time_example(localizer: Localizer, touches: list[Touch]) -> dict[str, float]:
@@ -82,8 +80,7 @@ def time_example(localizer: Localizer, touches: list[Touch]) -> dict[str, float]
 
 def main() -> None:
     """Measure, and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=["pin", "hook"])
+    parser = make_parser(__doc__, ["pin", "hook"])
     parser.add_argument("--sensor", default="gelslim")
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 3, 5])
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])

@@ -18,6 +18,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from statistics import median
 
+from asked import open_asked
+
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.touches import write_touch
@@ -85,8 +87,7 @@ def format_times(what: str, times: list[tuple[float, float]]) -> str:
 
 def measure_object(path: str, folder: Path) -> str:
     """Return the row of an object in the second table. Its store is a new folder."""
-    name, _, units = path.partition(":")
-    localizer = Localizer.create(name, units=units or "auto", store=folder)
+    localizer = open_asked(path, store=folder)
     start = time.perf_counter()
     places, _ = build_places(localizer.sampler, localizer.scene, localizer.store, Progress())
     build_s = time.perf_counter() - start

@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import make_parser, make_source, name_asked, open_asked
 from numpy.typing import NDArray
 from tactile_loc_benchmark.sources.calibrating import calibrate_sensor
 from tactile_loc_benchmark.sources.taxim_images import TaximGel
@@ -295,20 +296,18 @@ def locate_objects(
     names: list[str], known: Calibration, sensor: TaximGel, arguments: argparse.Namespace, say: Callable[[str], None]
 ) -> None:
     """Locate objects in all cases, and report the rows of the last table."""
-    raycast = registry().create("renderer", "raycast", {})
     sensors: dict[str, dict[str, Any]] = {"rigid": {"gel": "rigid"}, "layer": {}}
     store = StageStore(arguments.store)
     total = {case: Tally() for case in CASES}
     for name in names:
-        path, _, units = name.partition(":")
         localizers = {
-            gel: Localizer.create(
-                path, units=units or "auto", store=store,
+            gel: open_asked(
+                name, store=store,
                 sensor={"name": "calibrated", "path": str(known.folder), **options},
             )
             for gel, options in sensors.items()
         }  # fmt: skip
-        source = RobotTouches(localizers["rigid"].object, localizers["rigid"].scene.geometry, raycast)
+        source = make_source(localizers["rigid"].object, localizers["rigid"].scene.geometry)
         examples = [
             draw_presses(source, sensor, max(COUNTS) + SPARE, np.random.default_rng([arguments.seed, number]))
             for number in range(arguments.examples)
@@ -317,17 +316,14 @@ def locate_objects(
             what, gel = case
             tally = measure(localizers[gel], examples, what, known)
             total[case].add(tally)
-            say(tally.write_row(Path(path).stem, what, gel))
+            say(tally.write_row(name_asked(name), what, gel))
     for (what, gel), tally in total.items():
         say(tally.write_row("all", what, gel))
 
 
 def main() -> None:
     """Measure, and print three tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "objects", nargs="*", default=read_split("demo"), help="FILE[:UNITS]; default: the demo objects"
-    )
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--examples", type=int, default=12)
     parser.add_argument("--seed", type=int, default=31)
     parser.add_argument("--store", type=Path, help="folder of stored builds")

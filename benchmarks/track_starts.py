@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from asked import make_source, name_asked, open_asked
 from elastic_gel import SIZES_PX, press_elastic, view_as
 from reliability import add_noise
 from sequences import SENSOR_STD_M, SENSOR_STD_RAD
@@ -50,7 +51,6 @@ from tactile_loc.locate.hypotheses import compare_refined
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 from tactile_loc.tracking.key_touches import choose_key_touches
 from tactile_loc.tracking.tracker import Tracker
@@ -96,18 +96,17 @@ class Slide(Drawn):
 
 def make_localizer(mesh: str, condition: str, store: StageStore) -> Localizer:
     """Return the localizer of FILE[:UNITS] for slides of a condition."""
-    path, _, units = mesh.partition(":")
     sensor: dict[str, object] = {"name": SENSOR, "image_size_px": SIZES_PX[SENSOR]}
     if condition == ELASTIC:
         sensor |= {"gel": "layer", "gel_thickness_mm": MM * LAYER.thickness_m, "poisson": LAYER.poisson}
-    return Localizer.create(path, units=units or "auto", store=store, sensor=sensor)
+    return open_asked(mesh, store=store, sensor=sensor)
 
 
 def make_sliding(localizer: Localizer, condition: str) -> tuple[RobotTouches, SlidingTouches]:
     """Return the source of single touches on a rigid gel, and that of the slides of a condition."""
     geometry = dataclasses.replace(localizer.scene.geometry, gel=RIGID)
-    source = RobotTouches(
-        localizer.object, geometry, registry().create("renderer", "raycast", {}),
+    source = make_source(
+        localizer.object, geometry,
         noise=NOISE["mild" if condition == NOISY else "none"], sensor_std_m=SENSOR_STD_M, sensor_std_rad=SENSOR_STD_RAD,
     )  # fmt: skip
     return source, SlidingTouches(source, ELASTIC_RATE_HZ if condition == ELASTIC else RATE_HZ)
@@ -248,7 +247,7 @@ def collect(
         examples = [kind(**json.loads(line)) for line in out.read_text().splitlines()] if out.exists() else []
         known = {(one.object, one.condition, one.number) for one in examples}
         for mesh, condition in itertools.product(arguments.meshes, arguments.conditions):
-            name = Path(mesh.partition(":")[0]).stem
+            name = name_asked(mesh)
             missing = [n for n in range(arguments.count) if (name, condition, n) not in known]
             localizer = make_localizer(mesh, condition, store) if missing else None
             for number in missing:

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from asked import make_parser, make_source, name_asked, open_asked
 from elastic_gel import SIZES_PX
 from reliability import BINS, MM, RIGHT_MM, draw_example
 from tactile_loc_benchmark.suite import read_split
@@ -33,9 +34,7 @@ from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.recall.evaluation import is_determined
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 FITTED = (
@@ -88,17 +87,16 @@ def measure(
     mesh: str, gel: str, arguments: argparse.Namespace, store: StageStore, known: set[tuple[object, ...]]
 ) -> Iterator[Judged]:
     """Yield the examples of one object on one gel that are not `known`."""
-    path, _, units = mesh.partition(":")
     sensor = {"name": arguments.sensor, "image_size_px": SIZES_PX[arguments.sensor]}
     if gel != "rigid":
         sensor |= {"gel": "layer", "gel_thickness_mm": THICKNESS_MM, "poisson": POISSON}
-    localizer = Localizer.create(path, units=units or "auto", store=store, sensor=sensor)
+    localizer = open_asked(mesh, store=store, sensor=sensor)
     modelled = localizer.scene.geometry.gel
     geometry = dataclasses.replace(localizer.scene.geometry, gel=RIGID)
-    source = RobotTouches(localizer.object, geometry, registry().create("renderer", "raycast", {}))
+    source = make_source(localizer.object, geometry)
     levels = list(NOISE)
     for number in range(arguments.examples):
-        about = Judged(Path(path).stem, gel, levels[number % len(levels)], number, 0)
+        about = Judged(name_asked(mesh), gel, levels[number % len(levels)], number, 0)
         missing = [count for count in arguments.touches if about._replace(touches=count)[:5] not in known]
         if missing:
             rng = np.random.default_rng([arguments.seed, number])
@@ -153,8 +151,7 @@ def print_tables(found: list[Judged], arguments: argparse.Namespace) -> None:
 
 def main() -> None:
     """Measure, and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("objects", nargs="*", default=read_split("demo"))
+    parser = make_parser(__doc__, read_split("demo"))
     parser.add_argument("--sensor", choices=list(SIZES_PX), default="gelsight-mini")
     parser.add_argument("--touches", nargs="+", type=int, default=[1, 2, 3, 5])
     parser.add_argument("--examples", type=int, default=12)

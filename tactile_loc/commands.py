@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 from tactile_loc.core.runtime.lazy import lazy_names
 
 if TYPE_CHECKING:
-    # options: a parameter of type Annotated[RunOptions, Takes("object", ...)] becomes the options named there
+    # options: a parameter of type Annotated[RunOptions, Takes("object", ...)] becomes the options named there; a
+    # parameter whose type is another dataclass of declared options becomes all of them
     from tactile_loc_cli.options import RunOptions as RunOptions, Takes as Takes
-    from tactile_loc_cli.options import Report as Report, Require as Require, Store as Store
+    from tactile_loc_cli.options import Store as Store
     from tactile_loc_cli.options import declare as declare
     from tactile_loc_cli.options import make_config as make_config
     from tactile_loc_cli.options import open_localizer as open_localizer
@@ -35,12 +36,10 @@ if TYPE_CHECKING:
     from tactile_loc_cli.failures import UNEXPECTED as UNEXPECTED, USAGE_ERROR as USAGE_ERROR
 
     # workers of commands that run many jobs
-    from tactile_loc_cli.workers import Processes as Processes, Scheduler as Scheduler
-    from tactile_loc_cli.workers import choose_workers as choose_workers
+    from tactile_loc_cli.workers import WorkerOptions as WorkerOptions
 
-    # identification, and the choice of the next touch
+    # identification
     from tactile_loc_cli.commands.identify import IdentificationOutput as IdentificationOutput
-    from tactile_loc_cli.commands.next_touch import Around as Around, Candidates as Candidates
 
     # which requests a local web server answers
 

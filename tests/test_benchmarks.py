@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
+import bench
 import numpy as np
 import pytest
 import trimesh
@@ -25,7 +26,7 @@ with pytest.MonkeyPatch.context() as patch:
 GEOMETRY = SensorGeometry("orthographic", 64, 48, 3200.0, 3200.0, 32.0, 24.0, 0.010, 0.002)
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in BENCHMARKS.glob("*.py")))
+@pytest.mark.parametrize("name", bench.list_benchmarks())
 def test_a_benchmark_can_be_imported(name, monkeypatch):
     monkeypatch.syspath_prepend(BENCHMARKS)
     module = importlib.import_module(name)

@@ -25,7 +25,7 @@ from tactile_loc_cli.main import app
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from tactile_loc import StageStore, reports, write_touch
+from tactile_loc import reports, write_touch
 from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.config import RunConfig
@@ -76,9 +76,9 @@ def localizer(store) -> Localizer:
 # README
 
 
-def test_the_python_example_of_the_readme_runs(monkeypatch, tmp_path, capsys):
+def test_the_python_example_of_the_readme_runs(monkeypatch, store, capsys):
     original = Localizer.create.__func__
-    coarse = {"store": StageStore(tmp_path), "temperature": 0.05, **FACE}
+    coarse = {"store": store, "temperature": 0.05, **FACE}
     monkeypatch.setattr(Localizer, "create", classmethod(lambda cls, *a, **k: original(cls, *a, **{**k, **coarse})))
     (example,) = find_blocks(README, "python")
     exec(compile(example, "README.md", "exec"), {})

@@ -41,21 +41,10 @@ KINDS = {
 }  # fmt: skip
 
 
-def files() -> list[str]:
-    """The example's own files, without build products."""
+def test_exactly_the_example_files_are_shown_unchanged():
     found = (p.relative_to(EXAMPLE) for p in EXAMPLE.rglob("*") if p.suffix in (".py", ".toml"))
-    return sorted(str(p) for p in found if p.parts[0] != "build")
-
-
-@pytest.mark.parametrize("name", files())
-def test_each_example_file_is_shown_unchanged(name):
-    shown = re.search(rf"^`{re.escape(name)}`\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-    assert shown, f"docs/plugins.md does not show {name}"
-    assert shown[1] == (EXAMPLE / name).read_text()
-
-
-def test_only_the_example_files_are_shown():
-    assert sorted(re.findall(r"^`([\w/.]+)`\n\n```", PAGE, re.MULTILINE)) == files()
+    files = {str(p): (EXAMPLE / p).read_text() for p in found if p.parts[0] != "build"}
+    assert dict(re.findall(r"^`([\w/.]+)`\n\n```\w+\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)) == files
 
 
 def test_the_component_without_a_package_is_used_and_replaced():

@@ -10,6 +10,7 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import is_dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
@@ -21,7 +22,7 @@ from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.slots.registry import SLOTS, CommandSpec, registry
 from tactile_loc_cli.console import hide_results, name_flags, say_json, show_log
 from tactile_loc_cli.failures import Finding, report_failures
-from tactile_loc_cli.options import RunOptions, Takes, declare
+from tactile_loc_cli.options import Takes, declare
 
 logger = logging.getLogger(__name__)
 
@@ -42,19 +43,20 @@ SHARED = {"as_json": (Json, False), "verbose": (Verbose, 0), "quiet": (Quiet, Fa
 def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[..., None]:
     """Make a command from a function, which prints its result and returns the result as JSON values.
 
-    A parameter of type RunOptions becomes several options of the command; `options.Takes` names these options.
+    A parameter whose type is a dataclass, such as RunOptions, becomes several options of the command: one for each
+    field, or those that `options.Takes` names.
     """
     name = function.__name__.replace("_", "-")
     own = list(inspect.signature(function, eval_str=True).parameters.values())
-    taken = {p.name: takes for p in own if (takes := _read_taken(p.annotation))}
+    taken = {p.name: found for p in own if (found := _read_taken(p.annotation))}
 
     @functools.wraps(function)
     def command(context_: typer.Context, as_json: bool, verbose: int, quiet: bool, **options: Any) -> None:
         flags = [flag for p in context_.command.params for flag in p.opts]
         with name_flags(flags), show_log((context_.obj or 0) + verbose - quiet), report_failures(name, as_json):
             start = time.perf_counter()
-            for parameter, takes in taken.items():
-                options[parameter] = RunOptions(**{key: options.pop(key) for key in takes.names})
+            for parameter, (kind, takes) in taken.items():
+                options[parameter] = kind(**{key: options.pop(key) for key in takes.choose(kind)})
             result, code = _call(function, options, as_json)
             logger.info("%s took %.1f s.", name, time.perf_counter() - start)
             if as_json:
@@ -123,24 +125,29 @@ def _call(
         return finding.result, finding.exit_code
 
 
-def _read_taken(annotation: Any) -> Takes | None:
-    """Return the shared options that a parameter stands for; None if the parameter is an option."""
-    return next((extra for extra in getattr(annotation, "__metadata__", ()) if isinstance(extra, Takes)), None)
+def _read_taken(annotation: Any) -> tuple[type, Takes] | None:
+    """Return the options that a parameter stands for, and which of them are taken; None if it is a single option."""
+    kind, *extras = get_args(annotation) or (annotation,)
+    if not (isinstance(kind, type) and is_dataclass(kind)):
+        return None
+    return kind, next((one for one in extras if isinstance(one, Takes)), Takes())
 
 
-def _list_parameters(own: Sequence[inspect.Parameter], taken: Mapping[str, Takes]) -> Iterator[inspect.Parameter]:
+def _list_parameters(
+    own: Sequence[inspect.Parameter], taken: Mapping[str, tuple[type, Takes]]
+) -> Iterator[inspect.Parameter]:
     """Yield the command's parameters: those of the function, with completion of names, and those of all commands."""
     keyword = inspect.Parameter.KEYWORD_ONLY
-    declared, defaults = get_type_hints(RunOptions, include_extras=True), RunOptions()
     yield inspect.Parameter("context_", keyword, annotation=typer.Context)
     for p in own:
         if p.name not in taken:
             yield p.replace(kind=keyword, annotation=complete_parameter(p.name, p.annotation))
             continue
-        takes = taken[p.name]
-        for name in takes.names:
+        kind, takes = taken[p.name]
+        declared, defaults = get_type_hints(kind, include_extras=True), inspect.signature(kind).parameters
+        for name in takes.choose(kind):
             annotation = complete_parameter(name, _change_help(declared[name], takes.helps.get(name)))
-            yield inspect.Parameter(name, keyword, default=getattr(defaults, name), annotation=annotation)
+            yield inspect.Parameter(name, keyword, default=defaults[name].default, annotation=annotation)
     for name, (annotation, default) in SHARED.items():
         yield inspect.Parameter(name, keyword, default=default, annotation=annotation)
 

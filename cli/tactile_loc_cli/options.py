@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -184,18 +185,21 @@ class RunOptions:
 
 
 class Takes:
-    """Marks a command's parameter of type RunOptions. `names` are the options that the command takes; default: all.
+    """Marks a command's parameter of a type such as RunOptions: the names of its options that the command takes.
 
-    Annotated[RunOptions, Takes("object", "seed")] becomes --object and --seed on the command line. `helps` gives an
-    option a help text for this command alone.
+    Annotated[RunOptions, Takes("object", "seed")] becomes --object and --seed on the command line. Without names, the
+    command takes all options. `helps` gives an option a help text for this command alone.
     """
 
     def __init__(self, *names: str, **helps: str) -> None:
-        known = tuple(field.name for field in fields(RunOptions))
-        if unknown := {*names, *helps} - {*known}:
-            raise ValueError(f"there are no options {', '.join(sorted(unknown))}; declare them as fields of RunOptions")
-        self.names = tuple(name for name in known if name in names) if names else known
-        self.helps = helps
+        self.names, self.helps = names, helps
+
+    def choose(self, kind: type) -> tuple[str, ...]:
+        """Return the names of the taken options, in the order of the dataclass. Raises ValueError for unknown ones."""
+        known = tuple(inspect.signature(kind).parameters)
+        if unknown := {*self.names, *self.helps} - {*known}:
+            raise ValueError(f"{kind.__name__} has no options {', '.join(sorted(unknown))}; declare them as its fields")
+        return tuple(name for name in known if name in self.names) if self.names else known
 
 
 Rerun = Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,25 +12,29 @@ from tactile_loc_cli.options import declare
 if TYPE_CHECKING:
     from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers
 
-Processes = Annotated[int | None, declare("--workers N", "Local processes. Default: one for each core.", min=1)]
-Threads = Annotated[
-    int | None, declare("--threads N", "Threads of each local process (OpenMP, numba). Default: 1.", min=1)
-]
-Scheduler = Annotated[str | None, declare("--scheduler tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")]
 
+@dataclass(frozen=True)
+class WorkerOptions:
+    """The options that choose the workers of a command."""
 
-def choose_workers(
-    out: Path, processes: int | None, scheduler: str | None, threads: int | None = None
-) -> LocalWorkers | DaskWorkers:
-    """Return the workers of a scheduler, or local ones whose log is in the folder `out`.
+    workers: Annotated[int | None, declare("--workers N", "Local processes. Default: one for each core.", min=1)] = None
+    threads: Annotated[
+        int | None, declare("--threads N", "Threads of each local process (OpenMP, numba). Default: 1.", min=1)
+    ] = None
+    scheduler: Annotated[
+        str | None, declare("--scheduler tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")
+    ] = None
 
-    Raises ConfigError if local processes or threads are given with a scheduler.
-    """
-    from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers, count_cores
+    def choose(self, out: Path) -> LocalWorkers | DaskWorkers:
+        """Return the workers of a scheduler, or local ones whose log is in the folder `out`.
 
-    if scheduler is None:
-        return LocalWorkers(processes or count_cores(), threads or 1, out / "workers.log")
-    for flag, value in (("--workers", processes), ("--threads", threads)):
-        if value is not None:
-            raise ConfigError(f"{flag} is for local processes; leave it out with --scheduler")
-    return DaskWorkers(scheduler)
+        Raises ConfigError if local processes or threads are given with a scheduler.
+        """
+        from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers, count_cores
+
+        if self.scheduler is None:
+            return LocalWorkers(self.workers or count_cores(), self.threads or 1, out / "workers.log")
+        for flag, value in (("--workers", self.workers), ("--threads", self.threads)):
+            if value is not None:
+                raise ConfigError(f"{flag} is for local processes; leave it out with --scheduler")
+        return DaskWorkers(self.scheduler)

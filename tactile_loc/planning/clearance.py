@@ -68,7 +68,7 @@ class Clearance:
             if hit_m <= longest_m:
                 yield f"would hit the fixture with the finger after {1e3 * hit_m:.0f} mm"
         for k in checked:
-            mesh = modes.mode_objects[k].mesh
+            mesh = modes.objects[k].mesh
             hit_m = find_first_hit_m(rigid, mesh, T_sensor_base @ modes.T_base_object[k], moved_m[k])
             if hit_m <= moved_m[k]:
                 share = format_percent(float(modes.probabilities[k]))

@@ -183,7 +183,7 @@ def choose_next_touch(
     ConfigError if there is no approach, if none is within reach, or if a cost or press is invalid.
     """
     modes = found if isinstance(found, PoseModes) else PoseModes.of(found)
-    scene = Scene(modes.object, modes.geometry, renderer or registry().create("renderer", "heightmap", {}))
+    scene = Scene(modes.objects[0], modes.geometry, renderer or registry().create("renderer", "heightmap", {}))
     if not len(approaches):
         raise ConfigError("there is no approach to choose from; give at least one")
     made = [a if isinstance(a, Approach) else Approach(a, name=str(k)) for k, a in enumerate(approaches, 1)]

@@ -46,7 +46,7 @@ RATED: Keys = {
 def write_next_touch(found: NextTouch) -> dict[str, Any]:
     """Return the document of rated approaches."""
     modes = found.modes
-    parts = zip(modes.mode_objects, modes.probabilities, modes.T_base_object, strict=True)
+    parts = zip(modes.objects, modes.probabilities, modes.T_base_object, strict=True)
     return write_keys(
         NEXT_TOUCH,
         found,

@@ -63,19 +63,16 @@ class LiveLocator:
     """Locates the frames of one sensor: as one sequence if there is a `tracker`, otherwise each frame separately.
 
     The sensor's pose comes from the `sensor_track` or, without one, from the frame's file (`Touch.T_base_sensor`). If a
-    file has no pose, the sensor is assumed to have stayed where it was. `unit`, `press_depth_m` and `kind` are as for
-    `read_touch`.
+    file has no pose, the sensor is assumed to have stayed where it was. The localizer's configuration of a touch gives
+    the unit, the kind and the press depth of depths.
     """
 
     localizer: Localizer
     tracker: Tracker | None = None
-    unit: str | None = None
-    press_depth_m: float | None = None
+    sensor_track: SensorTrack | None = None
     counts: Counter[Verdict | None] = field(default_factory=Counter)
     reasons: Counter[str] = field(default_factory=Counter)
     _ends: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
-    kind: str | None = None
-    sensor_track: SensorTrack | None = None
     _time_s: float = 0.0
     _T_base_sensor: Floats = field(default_factory=lambda: np.eye(4))
 
@@ -94,8 +91,10 @@ class LiveLocator:
         start = time.perf_counter()
         touch = None
         try:
-            self._follow_sensor(frame)
-            touch = frame.read_touch(self.localizer.sensor, self.unit, self.press_depth_m, self.kind)
+            if self.sensor_track is not None:
+                self._T_base_sensor = self.sensor_track.look_up(frame.name, frame.time_s)
+            asked = self.localizer.config.touch
+            touch = frame.read_touch(self.localizer.sensor, asked.unit, asked.press_depth_m, asked.kind)
             located = self._locate_touch(frame, touch)
         except NoContactError as error:
             located = self._predict(frame, error)
@@ -107,11 +106,6 @@ class LiveLocator:
         end = time.perf_counter()
         self._ends.append(end)
         return LiveResult(frame, replace(located, seconds=end - start), touch, dropped, self._rate_hz)
-
-    def _follow_sensor(self, frame: SourceFrame) -> None:
-        """Look up the sensor's pose for a frame. Raises FrameError if a track of sensor poses does not have it."""
-        if self.sensor_track is not None:
-            self._T_base_sensor = self.sensor_track.look_up(frame.name, frame.time_s)
 
     @property
     def _rate_hz(self) -> float:

@@ -34,30 +34,25 @@ class PoseModes:
 
     `unlisted`, 0 to 1, is the probability of poses left out, which favour no approach. `geometry` is that of the next
     touch's sensor. `press_m`, metres, is the press depth of approaches that state none. `sharpness`, 1 or more, is the
-    ratio of the evidence that contacts give to their evidence with strong noise: see `measure_sharpness`. `objects`
-    (K,) are the modes' objects if there are several; otherwise it is empty, and all modes are poses of `object`.
+    ratio of the evidence that contacts give to their evidence with strong noise: see `measure_sharpness`. `objects` are
+    those of the K modes.
     """
 
-    object: ObjectModel
+    objects: tuple[ObjectModel, ...]
     T_base_object: Poses
     probabilities: Float64
     geometry: SensorGeometry
     press_m: float
     unlisted: float = 0.0
     sharpness: float = 1.0
-    objects: tuple[ObjectModel, ...] = ()
 
     @classmethod
     def of(cls, found: Localization) -> PoseModes:
         """Return a localisation's hypotheses in the base frame or, if unknown, in its touch's sensor frame."""
-        touch = found.touch
-        in_base = [h.T_base_object for h in found.hypotheses]
-        poses = np.stack(
-            [h.T_sensor_object if T is None else T for h, T in zip(found.hypotheses, in_base, strict=True)]
-        )
-        p = np.array([h.probability for h in found.hypotheses])
+        touch, every = found.touch, found.hypotheses
+        poses = np.stack([h.T_sensor_object if h.T_base_object is None else h.T_base_object for h in every])
+        p, ious = np.array([h.probability for h in every]), [h.imprint_iou for h in every]
         obj = found.posterior.grid.metric.object
-        ious = [h.imprint_iou for h in found.hypotheses]
         return find_distinct_modes(obj, poses, p, touch.geometry, touch.indentation_m, ious)
 
     @classmethod
@@ -75,16 +70,11 @@ class PoseModes:
         """The entropy of the modes, nats: 0 if one mode is certain."""
         return float(compute_entropy(self.probabilities))
 
-    @property
-    def mode_objects(self) -> tuple[ObjectModel, ...]:
-        """The object (K,) of each mode."""
-        return self.objects or (self.object,) * len(self.probabilities)
-
     @cached_property
     def by_object(self) -> tuple[tuple[ObjectModel, NDArray[np.int64]], ...]:
         """Each object with the numbers of its modes, the object of the first mode first."""
-        distinct = list(dict.fromkeys(self.mode_objects))
-        return tuple((one, np.flatnonzero([other is one for other in self.mode_objects])) for one in distinct)
+        distinct = dict.fromkeys(self.objects)
+        return tuple((one, np.flatnonzero([other is one for other in self.objects])) for one in distinct)
 
     @property
     def object_names(self) -> str:
@@ -98,7 +88,7 @@ class PoseModes:
 
     def name_mode(self, number: int) -> str:
         """Return a mode's number, from 0, as people count, with the object's name if several objects are possible."""
-        return f"{number + 1} ({self.mode_objects[number].name})" if len(self.by_object) > 1 else str(number + 1)
+        return f"{number + 1} ({self.objects[number].name})" if len(self.by_object) > 1 else str(number + 1)
 
 
 def measure_sharpness(imprint_ious: Sequence[float]) -> float:
@@ -133,7 +123,7 @@ def find_distinct_modes(
     likelier = np.argsort(-mass, kind="stable")
     p, poses = mass[likelier], T_base_object[order[kept[likelier]]]
     unlisted, sharpness = max(0.0, 1 - float(p.sum())), measure_sharpness(imprint_ious)
-    return PoseModes(obj, poses, p / p.sum(), geometry, press_m, unlisted, sharpness)
+    return PoseModes((obj,) * len(p), poses, p / p.sum(), geometry, press_m, unlisted, sharpness)
 
 
 def join_modes(every: Sequence[PoseModes], shares: Sequence[float]) -> PoseModes:
@@ -147,17 +137,16 @@ def join_modes(every: Sequence[PoseModes], shares: Sequence[float]) -> PoseModes
         raise TouchError("no object has a mode; identify the touches again")
     weights = [(1 - m.unlisted) * share for m, share in zip(every, shares, strict=True)]
     listed = np.concatenate([weight * m.probabilities for m, weight in zip(every, weights, strict=True)])
-    objects = [m.object for m in every for _ in m.probabilities]
+    objects = [obj for m in every for obj in m.objects]
     order = np.argsort(-listed, kind="stable")[:MOST_MODES]
     p, poses = listed[order], np.concatenate([m.T_base_object for m in every])[order]
     return replace(
         every[0],
-        object=objects[order[0]],
+        objects=tuple(objects[k] for k in order),
         T_base_object=poses,
         probabilities=p / p.sum(),
         unlisted=max(0.0, 1 - float(p.sum())),
         sharpness=max(m.sharpness for m in every),
-        objects=tuple(objects[k] for k in order),
     )
 
 

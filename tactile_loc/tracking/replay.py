@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,8 +113,8 @@ class Replay:
     """Locates the images on a `topic` of a recording with a localizer's sensor.
 
     Poses are in `frame`, by default the frame named in each image's header. With `base_frame`, poses are transformed to
-    the base frame by `frame_tree` (see `read_frame_tree`). `press_depth_m`, `unit` and `kind` are as for
-    `touch_from_image`.
+    the base frame by `frame_tree` (see `read_frame_tree`). The localizer's configuration of a touch gives the unit, the
+    kind and the press depth of depths.
     """
 
     recording: Recording
@@ -123,9 +123,6 @@ class Replay:
     frame: str | None = None
     base_frame: str | None = None
     frame_tree: FrameTree | None = None
-    press_depth_m: float | None = None
-    unit: str | None = None
-    kind: str | None = None
 
     @property
     def about(self) -> str:
@@ -144,9 +141,6 @@ class Replay:
             "topic": self.topic.name,
             "frame": self.frame,
             "base_frame": self.base_frame,
-            "press_depth_m": self.press_depth_m,
-            "unit": self.unit,
-            "kind": self.kind,
         }
 
     def frames(self, estimator: Estimator, first: int = 0) -> Iterator[ReplayedFrame]:
@@ -180,9 +174,8 @@ class Replay:
         try:
             pixels = decode_image(image)
             found = replace(found, image=pixels)
-            touch = touch_from_image(
-                pixels, self.localizer.sensor, self.press_depth_m, f"image {number}", self.unit, self.kind
-            )
+            asked, sensor = self.localizer.config.touch, self.localizer.sensor
+            touch = touch_from_image(pixels, sensor, asked.press_depth_m, f"image {number}", asked.unit, asked.kind)
         except (RecordingError, StoreError):  # the frame is not at fault, so the journal must not record it as refused
             raise
         except TactileLocError as error:
@@ -204,15 +197,12 @@ class FolderReplay:
 
     With file names, the images are those of the rows, in the rows' order. Otherwise the images are named by their times
     in seconds, such as `12.5.png`, and are sorted by these times. Poses are in the base frame of the sensor's poses.
-    `unit`, `press_depth_m` and `kind` are as for `read_touch`.
+    The localizer's configuration of a touch gives the unit, the kind and the press depth of depths.
     """
 
     folder: Path
     sensor_track: SensorTrack
     localizer: Localizer
-    unit: str | None = None
-    press_depth_m: float | None = None
-    kind: str | None = None
 
     has_base: ClassVar[bool] = True
 
@@ -223,13 +213,7 @@ class FolderReplay:
 
     def describe(self) -> dict[str, Any]:
         """Return all inputs of the frames except the localizer, as JSON values."""
-        return {
-            "folder": identify_files(self.folder),
-            "poses": identify_files(self.sensor_track.path),
-            "unit": self.unit,
-            "press_depth_m": self.press_depth_m,
-            "kind": self.kind,
-        }
+        return {"folder": identify_files(self.folder), "poses": identify_files(self.sensor_track.path)}
 
     @cached_property
     def images(self) -> tuple[tuple[str, float], ...]:
@@ -262,8 +246,8 @@ class FolderReplay:
             found = ReplayFrame(number, stamp_ns, stamp_ns, "base", name)
             try:
                 found = replace(found, T_base_sensor=self.sensor_track.look_up(name, time_s))
-                path = self.folder / name
-                touch = read_touch(path, self.localizer.sensor, self.unit, self.press_depth_m, self.kind)
+                asked, path = self.localizer.config.touch, self.folder / name
+                touch = read_touch(path, self.localizer.sensor, asked.unit, asked.press_depth_m, asked.kind)
                 yield replace(found, touch=replace(touch, T_base_sensor=found.T_base_sensor), image=touch.image)
             except StoreError:
                 raise
@@ -297,26 +281,7 @@ def estimate(frame: ReplayFrame, estimator: Estimator) -> LocatedFrame:
         return LocatedFrame.of_error(error)
 
 
-class ReplaySource(Protocol):
-    """Images in order, to be located with a localizer: a `Replay` or a `FolderReplay`."""
-
-    @property
-    def localizer(self) -> Localizer:
-        """The localizer of the object and the sensor."""
-
-    @property
-    def about(self) -> str:
-        """The images in words."""
-
-    @property
-    def has_base(self) -> bool:
-        """Whether the sensor's poses are known, so that the object's poses are in a base frame."""
-
-    def describe(self) -> dict[str, Any]:
-        """Return all inputs of the frames except the localizer, as JSON values."""
-
-    def read_frames(self, first: int = 0) -> Iterator[ReplayFrame]:
-        """Yield the images from number `first` on, in order, each with its touch."""
+ReplaySource = Replay | FolderReplay  # images in order, to be located with a localizer
 
 
 @dataclass(frozen=True)

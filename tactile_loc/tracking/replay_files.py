@@ -82,18 +82,6 @@ class ReplayOutput:
     required: Verdict | None = None
 
 
-def replay_to(
-    out: Path,
-    replay: Replay,
-    frames: int,
-    pose_topic: str = "/object/pose",
-    poses_only: bool = False,
-    estimator: Estimator | None = None,
-) -> Replayed:
-    """Locate each of a recording's `frames` images alone, as `locate_each_to` does."""
-    return locate_each_to(ReplayOutput(out, pose_topic, poses_only=poses_only), replay, frames, estimator)
-
-
 def locate_each_to(
     out: ReplayOutput, source: ReplaySource, frames: int, estimator: Estimator | None = None
 ) -> Replayed:

@@ -12,7 +12,6 @@ import pytest
 from cli_helpers import FLAT_SENSOR, TINY, assert_refused, succeed, write_box
 from PIL import Image
 from tactile_loc_cli.evaluate import paper
-from tactile_loc_cli.evaluate.command import parse_together
 from tactile_loc_cli.evaluate.jobs import Asked, choose_options, list_jobs
 from tactile_loc_cli.options import RunOptions
 
@@ -213,9 +212,9 @@ def test_a_configuration_file_gives_object_noise_and_encoder(cli, tmp_path):
 
 
 def test_the_default_is_all_demo_objects():
-    touches = paper.choose_touches(RunOptions(), Asked(None, None, None, None, (), False, (), (5,), Path("out"), None))
+    touches = paper.choose_touches(RunOptions(), Asked(seed=[5]))
     assert touches == SimulatedTouches("strong", 5)
-    jobs = list_jobs(RunOptions(), None, None, touches)
+    jobs = list_jobs(RunOptions(), Asked(), touches)
     assert [obj.name for _, obj in jobs] == list(DEMO_OBJECTS)
     assert {settings.encoder.name for settings, _ in jobs} == {"pixel"}
     assert {settings.touch.noise for settings, _ in jobs} == {"strong"}
@@ -251,7 +250,7 @@ def test_the_default_is_a_hundred_examples(cli, monkeypatch):
     [("1..7", (1, 2, 3, 4, 5, 6, 7)), ("3", (3,)), ("1, 2,5", (1, 2, 5)), ("5,1..2,2", (1, 2, 5)), ("20..20", (20,))],
 )
 def test_ranges_and_lists_of_contacts_are_parsed(text, numbers):
-    assert parse_together(text) == numbers
+    assert Asked(together=text).numbers == numbers
 
 
 @pytest.mark.parametrize("text", ["", "0", "7..1", "1..21", "1-7", "one", "1,,2", "1..", "-1", "1.5", "0..3"])

@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pytest
 import rich
 import typer
 from cli_helpers import TINY, succeed
+from message_helpers import naming
 from tactile_loc_cli import console
 from tactile_loc_cli.command import make_command
 from tactile_loc_cli.main import app
+from tactile_loc_cli.options import RunOptions, Takes
 from typer.testing import CliRunner
 
 from tactile_loc.plugins.refiners.none import NoRefiner
@@ -160,3 +163,11 @@ def test_stdout_contains_only_the_document():
     assert done.stderr == "on stderr\n"
     assert CliRunner().invoke(made, ["talk"]).stdout == "a line\na b\nrich\na stranger\n"
     assert parsed(CliRunner().invoke(made, ["quiet", "--json"]).stdout) == {}
+
+
+def test_only_declared_options_can_be_taken():
+    def paint(given: Annotated[RunOptions, Takes("object", "colour")]) -> None:
+        console.say(str(given))
+
+    with pytest.raises(ValueError, match=naming("RunOptions", "colour")):
+        make_command(paint)

@@ -23,7 +23,7 @@ def box(make_box):
 
 
 def foresee_all(modes: PoseModes, approaches):
-    scene = Scene(modes.object, modes.geometry, registry().create("renderer", "heightmap", {}))
+    scene = Scene(modes.objects[0], modes.geometry, registry().create("renderer", "heightmap", {}))
     return foresee(scene, modes, approaches)
 
 

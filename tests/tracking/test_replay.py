@@ -7,6 +7,7 @@ import errno
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +17,14 @@ from tactile_loc.core.geometry.lie import rotate_covariance
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.runtime.errors import FrameError, GridError, OutputError, RecordingError, StoreError
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.config import TouchConfig
 from tactile_loc.io.streams.recordings import Recording, RecordingWriter, choose_image_topic, write_recording
 from tactile_loc.io.streams.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.tracking.replay import Replay, ReplaySummary
-from tactile_loc.tracking.replay_files import ReplayOutput, locate_each_to, replay_to
+from tactile_loc.tracking.replay_files import Replayed, ReplayOutput, locate_each_to
 from tactile_loc.tracking.replay_journal import VERSION, open_journal
 
 S = 1_000_000_000
@@ -69,6 +71,17 @@ def replay_of(path: Path, localizer: Localizer, base: str | None = None, frame: 
     return Replay(recording, topic, localizer, frame, base, recording.read_frame_tree() if base else None)
 
 
+def replay_to(out: Path, replay: Replay, estimator, poses_only: bool = False) -> Replayed:
+    """Locate each of the 6 recorded images with an estimator, and write the results."""
+    return locate_each_to(ReplayOutput(out, "/pose", poses_only=poses_only), replay, 6, estimator)
+
+
+def reading(localizer: Localizer, **touch: Any) -> Localizer:
+    """Return the localizer with other settings of a touch."""
+    config = localizer.config.model_copy(update={"touch": TouchConfig(**touch)})
+    return Localizer(config, localizer.object, localizer.store)
+
+
 def at_truth(touch: Touch) -> LocatedFrame:
     """An estimator that always returns the same pose and covariance."""
     T = make_transform(rotation_about([1, 1, 0], 0.3), [0.001, 0.002, 0.025])
@@ -84,7 +97,7 @@ def test_recorded_depths_may_have_another_unit_and_kind(localizer, touches, tmp_
     for name, image in images.items():
         path = write_images(tmp_path / f"{name}.mcap", [image.astype(np.float32)])
         given = {"unit": "mm"} if name == "mm" else {"kind": name}
-        replay = replace(replay_of(path, localizer), press_depth_m=shape.press_depth_m, **given)
+        replay = replay_of(path, reading(localizer, press_depth_mm=1e3 * shape.press_depth_m, **given))
         (frame,) = replay.read_frames()
         assert frame.problem is None
         seen = frame.touch.contact_shape
@@ -94,8 +107,8 @@ def test_recorded_depths_may_have_another_unit_and_kind(localizer, touches, tmp_
 
 
 def test_the_localizer_finds_the_recorded_touches(recorded, localizer, touches, tmp_path):
-    replay = replace(replay_of(recorded, localizer), press_depth_m=touches[0].press_depth_m)
-    found = replay_to(tmp_path / "out.mcap", replay, 6, "/pose")
+    replay = replay_of(recorded, reading(localizer, press_depth_mm=1e3 * touches[0].press_depth_m))
+    found = replay_to(tmp_path / "out.mcap", replay, None)
     for record, touch in zip(found.records[:3], touches, strict=True):
         best = localizer.localize(touch).best
         np.testing.assert_allclose(record.T_frame_object, best.T_sensor_object, atol=1e-9)
@@ -109,7 +122,7 @@ def test_the_localizer_finds_the_recorded_touches(recorded, localizer, touches, 
 
 def test_poses_and_covariances_are_transformed_to_the_base(recorded, localizer, tmp_path):
     out = tmp_path / "out.mcap"
-    found = replay_to(out, replay_of(recorded, localizer, "base"), 6, "/pose", estimator=at_truth)
+    found = replay_to(out, replay_of(recorded, localizer, "base"), at_truth)
     T_base_flange = make_transform(rotation_about([0, 0, 1], 0.3), [0.15, 0, 0.1])  # at 2 s, halfway
     T_base_gel = T_base_flange @ MOUNT
     (third,) = [m for m in Recording(out).read_messages("/pose") if m.log_time_ns == 2 * S + 5]
@@ -124,8 +137,8 @@ def test_poses_and_covariances_are_transformed_to_the_base(recorded, localizer, 
 
 def test_poses_are_written_after_their_images_or_alone(recorded, localizer, tmp_path):
     replay = replay_of(recorded, localizer)
-    replay_to(tmp_path / "all.mcap", replay, 6, "/pose", estimator=at_truth)
-    replay_to(tmp_path / "alone.mcap", replay, 6, "/pose", poses_only=True, estimator=at_truth)
+    replay_to(tmp_path / "all.mcap", replay, at_truth)
+    replay_to(tmp_path / "alone.mcap", replay, at_truth, poses_only=True)
     before, written, alone = (
         [(m.topic, m.log_time_ns, m.data) for m in Recording(path).read_messages()]
         for path in (recorded, tmp_path / "all.mcap", tmp_path / "alone.mcap")
@@ -147,7 +160,7 @@ def test_an_estimator_that_finds_no_pose_gives_an_error(recorded, localizer, tmp
         raise GridError("hopeless")
 
     with pytest.raises(RecordingError, match=naming(6, "/gel/image", "drive.mcap", "hopeless")):
-        replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer), 6, "/pose", estimator=lost)
+        replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer), lost)
     assert [path.name for path in tmp_path.iterdir()] == ["drive.mcap"]
 
 
@@ -170,11 +183,11 @@ def test_finished_frames_are_not_located_again(recorded, localizer, tmp_path, lo
         return counting(touch)
 
     out, replay = tmp_path / "out.mcap", replay_of(recorded, localizer)
-    whole = replay_to(tmp_path / "whole.mcap", replay, 6, "/pose", estimator=at_truth)
+    whole = replay_to(tmp_path / "whole.mcap", replay, at_truth)
     with pytest.raises(KeyboardInterrupt):
-        replay_to(out, replay, 6, "/pose", estimator=interrupted)
+        replay_to(out, replay, interrupted)
     assert not out.exists()
-    found = replay_to(out, replay, 6, "/pose", estimator=counting)
+    found = replay_to(out, replay, counting)
     assert (found.resumed, len(calls)) == (finished, 4)
     assert list_json(found.records) == list_json(whole.records)
     assert out.read_bytes() == (tmp_path / "whole.mcap").read_bytes()
@@ -191,8 +204,8 @@ def test_a_frame_that_failed_with_a_full_store_is_tried_again(recorded, localize
 
     out, replay = tmp_path / "out.mcap", replay_of(recorded, localizer)
     with pytest.raises(StoreError, match="full"):
-        replay_to(out, replay, 6, "/pose", estimator=starved)
-    found = replay_to(out, replay, 6, "/pose", estimator=at_truth)
+        replay_to(out, replay, starved)
+    found = replay_to(out, replay, at_truth)
     assert (found.resumed, found.summary.located) == (1, 4)
 
 
@@ -238,7 +251,7 @@ def test_the_journal_of_another_replay_or_version_is_replaced(
         patch.setattr("tactile_loc.tracking.replay_journal.VERSION", version)
         with open_journal(path, replay) as kept:
             kept.append(next(replay.frames(at_truth)))
-    found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer, base), 6, "/pose", estimator=at_truth)
+    found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer, base), at_truth)
     assert found.resumed == 0
     assert len(caplog.records) == 1
     assert not missing(caplog.text, path, reason)
@@ -254,7 +267,7 @@ def test_frames_that_are_not_found_are_counted_separately(recorded, localizer, t
             raise GridError("hopeless")
         return replace(at_truth(touch), verdict=Verdict.NOT_FOUND)
 
-    found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer), 6, "/pose", estimator=find_little)
+    found = replay_to(tmp_path / "out.mcap", replay_of(recorded, localizer), find_little)
     summary = found.summary
     assert (summary.located, summary.not_found, summary.no_contact, summary.refused) == (0, 4, 1, 1)
     assert [record.T_frame_object is not None for record in found.records] == [False, True, True, False, False, True]

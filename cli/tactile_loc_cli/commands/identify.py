@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tactile_loc.core.runtime.errors import ConfigError, ObjectError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.commands.next_touch import DRAWN, SEED, Around, Candidates, find_approaches
+from tactile_loc_cli.commands.next_touch import DRAWN, WantedApproaches
 from tactile_loc_cli.console import make_progress, say_written
 from tactile_loc_cli.failures import NOT_AS_REQUIRED, Finding
 from tactile_loc_cli.options import RunOptions, declare
@@ -36,7 +36,6 @@ Unknown = Annotated[
     float,
     declare("--unknown SHARE", "Share of touched objects that are none of these, before any touch: above 0, below 1."),
 ]
-Out = Annotated[Path, declare("--out FOLDER", "Folder of identification.json.")]
 Given = Annotated[
     RunOptions,
     options.Takes(
@@ -49,22 +48,19 @@ Given = Annotated[
         symmetry="Rotational symmetry of every object, such as none or z6. Default: auto, detected for each object.",
     ),
 ]
-DEFAULT_OUT = Path("tactile-loc-identify")
 
 
 @dataclass(frozen=True)
-class IdentificationOutput:
+class IdentificationOutput(WantedApproaches):
     """What a command that identifies touches returns, shows and writes: its options `--out`, `--report` and others.
 
     With `around` or `candidates`, it also ranks the approaches that best separate the possible objects and their poses.
     Raises OutputError if nothing can be written to `out`.
     """
 
-    out: Path
-    candidates: Path | None = None
-    around: int | None = None
-    report: bool = False
-    require: str | None = None
+    out: Annotated[Path, declare("--out FOLDER", "Folder of identification.json.")] = Path("tactile-loc-identify")
+    report: options.Report = False
+    require: options.Require = None
 
     def __post_init__(self) -> None:
         require_writable(self.out)
@@ -107,7 +103,7 @@ class IdentificationOutput:
 
         if (self.candidates is None and self.around is None) or (modes := PoseModes.of_objects(found)) is None:
             return [], None
-        approaches = find_approaches(self.candidates, self.around, SEED, modes, touches[0].T_base_sensor, None)
+        approaches = self.find(modes, touches[0].T_base_sensor)
         return approaches, choose_next_touch(modes, approaches)
 
 
@@ -116,11 +112,8 @@ def identify(
     touch: Touches,
     given: Given,
     unknown: Unknown = 0.2,
-    candidates: Candidates = None,
-    around: Around = None,
-    out: Out = DEFAULT_OUT,
-    report: options.Report = False,
-    require: options.Require = None,
+    *,
+    output: IdentificationOutput,
     store: options.Store = None,
 ) -> dict[str, Any]:
     """Find which of several objects was touched.
@@ -137,7 +130,6 @@ def identify(
     null = NullEvidence(unknown)
     settings = options.make_config(replace(given, touch=touch))
     models = _open_models(objects, settings, StageStore(store))
-    output = IdentificationOutput(out, candidates, around, report, require)
     touches = [one for _, one in options.read_touches(models[0], Path(touch))]
     return output.conclude(identify_touches(touches, models, null), touches)
 

@@ -94,14 +94,7 @@ def live(
     sensor_track = _read_poses(poses, track)
     localizer = options.open_localizer(settings, store)
     tracker = Tracker(localizer) if track else None
-    locator = LiveLocator(
-        localizer,
-        tracker,
-        settings.touch.unit,
-        settings.touch.press_depth_m,
-        kind=settings.touch.kind,
-        sensor_track=sensor_track,
-    )
+    locator = LiveLocator(localizer, tracker, sensor_track)
     with ExitStack() as stack:
         shows = [
             stack.enter_context(one) for one in _open_outputs(localizer, opened, out, port if view else None, rerun)

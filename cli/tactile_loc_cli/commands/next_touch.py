@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -32,52 +33,107 @@ DRAWN, MOST = "approaches.toml", 10_000  # file of the drawn approaches, and the
 SEED = 0
 
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="Folder written by run, or its result.json.")]
-Candidates = Annotated[
-    Path | None,
-    declare(
-        "--candidates FILE.toml",
-        "Approaches: [[approach]] tables, each with a start pose: xyz_mm with rpy_deg, or T_sensor_next in metres "
-        "(docs/next-touch.md).",
-    ),
-]
-Around = Annotated[
-    int | None,
-    declare(
-        "--around N",
-        "Without --candidates: N approaches from random directions around the object. They are also written to "
-        "approaches.toml, which --candidates reads.",
-        min=1,
-        max=MOST,
-    ),
-]
-Finger = Annotated[
-    str | None,
-    declare(
-        "--finger FILE|XxYxZmm",
-        "Body that carries the sensor: a mesh file in the sensor frame, or the sides of a box behind the gel, such as "
-        "32x28x24mm. Approaches are out of reach if it would hit the object. It needs tactile-loc[clearance].",
-    ),
-]
-Fixture = Annotated[
-    Path | None, declare("--fixture FILE", "Mesh file in the base frame that the --finger must not hit either.")
-]
-Floor = Annotated[float | None, declare("--floor MM", "The --finger must stay above z = MM of the base frame.")]
-MeshUnits = Annotated[
-    options.Units, declare("--units", "Unit of the files of --finger and --fixture. auto: guessed from their size.")
-]
 Seed = Annotated[int, declare("--seed N", "Seed of the approaches of --around.", min=0)]
 Top = Annotated[int, declare("--top N", "Number of approaches to show; the file has all of them.")]
 Out = Annotated[Path, declare("--out FOLDER", "Folder of next_touch.json, next_touch.png and approaches.toml.")]
 
 
+@dataclass(frozen=True)
+class WantedApproaches:
+    """The options that give the approaches: their file, or the number to draw."""
+
+    candidates: Annotated[
+        Path | None,
+        declare(
+            "--candidates FILE.toml",
+            "Approaches: [[approach]] tables, each with a start pose: xyz_mm with rpy_deg, or T_sensor_next in metres "
+            "(docs/next-touch.md).",
+        ),
+    ] = None
+    around: Annotated[
+        int | None,
+        declare(
+            "--around N",
+            "Without --candidates: N approaches from random directions around the object. They are also written to "
+            "approaches.toml, which --candidates reads.",
+            min=1,
+            max=MOST,
+        ),
+    ] = None
+
+    def find(
+        self,
+        modes: PoseModes,
+        T_base_sensor: NDArray[np.float64] | None,
+        finger: TriangleMesh | None = None,
+        seed: int = SEED,
+    ) -> Sequence[Approach]:
+        """Read the candidates, or draw approaches to the modes. Raises ConfigError unless exactly one is asked for."""
+        import numpy as np
+
+        from tactile_loc.io.approach_files import read_approaches
+        from tactile_loc.planning.approaches import draw_approaches_to_modes
+
+        if self.candidates is not None and self.around is None:
+            return read_approaches(self.candidates, T_base_sensor)
+        if self.candidates is None and self.around is not None:
+            return draw_approaches_to_modes(modes, self.around, np.random.default_rng(seed), finger)
+        raise ConfigError("approaches come from one source; give either --candidates FILE.toml or --around N")
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """The options that state what must not be hit."""
+
+    finger: Annotated[
+        str | None,
+        declare(
+            "--finger FILE|XxYxZmm",
+            "Body that carries the sensor: a mesh file in the sensor frame, or the sides of a box behind the gel, such "
+            "as 32x28x24mm. Approaches are out of reach if it would hit the object. It needs tactile-loc[clearance].",
+        ),
+    ] = None
+    fixture: Annotated[
+        Path | None, declare("--fixture FILE", "Mesh file in the base frame that the --finger must not hit either.")
+    ] = None
+    floor: Annotated[float | None, declare("--floor MM", "The --finger must stay above z = MM of the base frame.")] = (
+        None
+    )
+    units: Annotated[
+        options.Units, declare("--units", "Unit of the files of --finger and --fixture. auto: guessed from their size.")
+    ] = options.Units.AUTO
+
+    def find_clearance(self, geometry: SensorGeometry, in_base: bool) -> Clearance | None:
+        """Read what must not be hit. Raises ConfigError for a fixture or floor without a finger or a base frame."""
+        from tactile_loc.io.meshes.mesh_files import load_object
+        from tactile_loc.planning.clearance import Clearance, make_box_finger
+
+        is_placed, units = self.fixture is not None or self.floor is not None, cast("Units", self.units.value)
+        if self.finger is None:
+            if is_placed:
+                raise ConfigError("--fixture and --floor need the body that must not hit them; give it as --finger")
+            return None
+        if is_placed and not in_base:
+            raise ConfigError(
+                "--fixture and --floor are in the base frame, but the touch has no T_base_sensor; locate it again from "
+                "a list of touches with T_base_sensor"
+            )
+        if box := BOX.fullmatch(self.finger):
+            sides_m = [1e-3 * float(side) for side in box.groups()]
+            if not min(sides_m) > 0:
+                raise ConfigError(f"the box {self.finger} of --finger has a side of 0 mm; give three positive sides")
+            body = make_box_finger(sides_m, geometry)
+        else:
+            body = load_object(self.finger, units, "none").mesh
+        held = None if self.fixture is None else load_object(self.fixture, units, "none").mesh
+        return Clearance(body, held, None if self.floor is None else 1e-3 * self.floor)
+
+
 def next_touch(
     result: Result,
-    candidates: Candidates = None,
-    around: Around = None,
-    finger: Finger = None,
-    fixture: Fixture = None,
-    floor: Floor = None,
-    units: MeshUnits = options.Units.AUTO,
+    *,
+    wanted: WantedApproaches,
+    obstacles: Obstacles,
     seed: Seed = SEED,
     top: Top = 10,
     out: Out = DEFAULT_OUT,
@@ -102,9 +158,8 @@ def next_touch(
     located = Localization.load(_find_result(result))
     modes, T_base_sensor = PoseModes.of(located), located.touch.T_base_sensor
     in_base = T_base_sensor is not None
-    clearance = _find_clearance(finger, fixture, floor, cast("Units", units.value), modes.geometry, in_base)
-    body = None if clearance is None else clearance.finger
-    approaches = find_approaches(candidates, around, seed, modes, T_base_sensor, body)
+    clearance = obstacles.find_clearance(modes.geometry, in_base)
+    approaches = wanted.find(modes, T_base_sensor, None if clearance is None else clearance.finger, seed)
     require_writable(out)
     found = choose(modes, approaches, clearance=clearance)
     document = write_next_touch(found)
@@ -114,7 +169,7 @@ def next_touch(
         write_json(out / "next_touch.json", document),
         save_figure(out / "next_touch.png", draw_next_touch(found, title)),
     ]
-    if around is not None:
+    if wanted.around is not None:
         written.append(write_approaches(out / DRAWN, approaches, in_base))
     if report:
         from tactile_loc.reports.report import DEFAULT_NAME, write_page
@@ -122,59 +177,6 @@ def next_touch(
 
         written.append(write_page(make_next_touch_page(found, written[1]), out / DEFAULT_NAME))
     return {**document, "written": say_written(written)}
-
-
-def find_approaches(
-    candidates: Path | None,
-    around: int | None,
-    seed: int,
-    modes: PoseModes,
-    T_base_sensor: NDArray[np.float64] | None,
-    finger: TriangleMesh | None,
-) -> Sequence[Approach]:
-    """Read the candidates, or draw approaches to the modes. Raises ConfigError unless exactly one is asked for."""
-    import numpy as np
-
-    from tactile_loc.io.approach_files import read_approaches
-    from tactile_loc.planning.approaches import draw_approaches_to_modes
-
-    if candidates is not None and around is None:
-        return read_approaches(candidates, T_base_sensor)
-    if candidates is None and around is not None:
-        return draw_approaches_to_modes(modes, around, np.random.default_rng(seed), finger)
-    raise ConfigError("approaches come from one source; give either --candidates FILE.toml or --around N")
-
-
-def _find_clearance(
-    finger: str | None,
-    fixture: Path | None,
-    floor_mm: float | None,
-    units: Units,
-    geometry: SensorGeometry,
-    in_base: bool,
-) -> Clearance | None:
-    """Read what must not be hit. Raises ConfigError for a fixture or floor without a finger or a base frame."""
-    from tactile_loc.io.meshes.mesh_files import load_object
-    from tactile_loc.planning.clearance import Clearance, make_box_finger
-
-    if finger is None:
-        if fixture is None and floor_mm is None:
-            return None
-        raise ConfigError("--fixture and --floor need the body that must not hit them; give it as --finger")
-    if not in_base and not (fixture is None and floor_mm is None):
-        raise ConfigError(
-            "--fixture and --floor are in the base frame, but the touch has no T_base_sensor; locate it again from a "
-            "list of touches with T_base_sensor"
-        )
-    if box := BOX.fullmatch(finger):
-        sides_m = [1e-3 * float(side) for side in box.groups()]
-        if not min(sides_m) > 0:
-            raise ConfigError(f"the box {finger} of --finger has a side of 0 mm; give three positive sides")
-        body = make_box_finger(sides_m, geometry)
-    else:
-        body = load_object(finger, units, "none").mesh
-    held = None if fixture is None else load_object(fixture, units, "none").mesh
-    return Clearance(body, held, None if floor_mm is None else 1e-3 * floor_mm)
 
 
 def _find_result(path: Path) -> Path:

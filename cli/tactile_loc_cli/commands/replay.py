@@ -38,17 +38,8 @@ Source = Annotated[
         "contact shapes.",
     ),
 ]
-ImageTopic = Annotated[
-    str | None, declare("--image-topic TOPIC", "Topic of the images. Default: the only one with images.")
-]
 PoseTopic = Annotated[str, declare("--pose-topic TOPIC", "Topic of the written poses.")]
 VerdictTopic = Annotated[str, declare("--verdict-topic TOPIC", "Topic of the written verdicts.")]
-Frame = Annotated[
-    str | None, declare("--frame FRAME", "The sensor's frame (z out of the gel). Default: from the images' headers.")
-]
-BaseFrame = Annotated[
-    str | None, declare("--base-frame FRAME", "Write poses in this frame of the recording's TF. Default: the sensor's.")
-]
 Track = Annotated[
     bool, declare("--track", "Track the object through the images. Default: locate each image separately.")
 ]
@@ -76,13 +67,28 @@ Given = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class OfRecording:
+    """The options that a recording needs, and a folder of images does not take."""
+
+    image_topic: Annotated[
+        str | None, declare("--image-topic TOPIC", "Topic of the images. Default: the only one with images.")
+    ] = None
+    frame: Annotated[
+        str | None,
+        declare("--frame FRAME", "The sensor's frame (z out of the gel). Default: from the images' headers."),
+    ] = None
+    base_frame: Annotated[
+        str | None,
+        declare("--base-frame FRAME", "Write poses in this frame of the recording's TF. Default: the sensor's."),
+    ] = None
+
+
 def replay(
     recording: Source,
-    image_topic: ImageTopic = None,
     *,
     given: Given,
-    frame: Frame = None,
-    base_frame: BaseFrame = None,
+    chosen: OfRecording,
     poses: options.SensorPoses = None,
     track: Track = False,
     fuse: Fuse = False,
@@ -106,7 +112,7 @@ def replay(
     settings = options.make_config(given)
     options.require_object(settings, str(recording))
     options.require_rerun(rerun)
-    _require_one_way(track, fuse, poses is not None or base_frame is not None)
+    _require_one_way(track, fuse, poses is not None or chosen.base_frame is not None)
     if given.drop_outliers and not fuse:
         raise ConfigError("--drop-outliers needs touches that are located together; give --fuse, or leave it out")
     written = ReplayOutput(
@@ -117,9 +123,9 @@ def replay(
         None if require is None else Verdict(require.value),
     )
     opened = (
-        _open_recording(settings, recording, image_topic, frame, base_frame, written, store)
+        _open_recording(settings, recording, chosen, written, store)
         if poses is None
-        else _open_folder(settings, recording, poses, (image_topic, frame, base_frame), store)
+        else _open_folder(settings, recording, poses, chosen, store)
     )
     found = _locate(opened, written, track, fuse)
     if rerun is not None:
@@ -175,22 +181,16 @@ def _choose_out(recording: Path, out: Path | None, is_folder: bool) -> Path:
 
 
 def _open_recording(
-    settings: RunConfig,
-    recording: Path,
-    image_topic: str | None,
-    frame: str | None,
-    base_frame: str | None,
-    out: ReplayOutput,
-    store: Path | None,
+    settings: RunConfig, recording: Path, chosen: OfRecording, out: ReplayOutput, store: Path | None
 ) -> _Opened:
     """Open the images of a recording. Raises TactileLocError for bad input."""
-    from tactile_loc.io.streams.recordings import Recording
-    from tactile_loc.io.streams.recordings import choose_image_topic as chosen
+    from tactile_loc.io.streams.recordings import Recording, choose_image_topic
     from tactile_loc.tracking.replay import Replay
 
     recorded = Recording(recording)
     contents = recorded.read_contents()
-    topic = chosen(contents, recording, image_topic)
+    topic = choose_image_topic(contents, recording, chosen.image_topic)
+    frame, base_frame = chosen.frame, chosen.base_frame
     _require_free(contents, recording, out)
     tree = recorded.read_frame_tree() if base_frame is not None else None
     if tree is not None:
@@ -198,33 +198,23 @@ def _open_recording(
     if contents.damage:
         logger.warning("%s", contents.damage)
     localizer = options.open_localizer(settings, store)
-    touch = settings.touch
-    source = Replay(
-        recorded, topic, localizer, frame, base_frame, tree, touch.press_depth_m, unit=touch.unit, kind=touch.kind
-    )
+    source = Replay(recorded, topic, localizer, frame, base_frame, tree)
     return _Opened(source, contents.counts[topic], contents.damage)
 
 
 def _open_folder(
-    settings: RunConfig, folder: Path, poses: Path, of_recording: tuple[str | None, ...], store: Path | None
+    settings: RunConfig, folder: Path, poses: Path, of_recording: OfRecording, store: Path | None
 ) -> _Opened:
     """Open the images of a folder. Raises TactileLocError for bad input."""
     from tactile_loc.io.streams.sensor_tracks import read_sensor_track
     from tactile_loc.tracking.replay import FolderReplay
 
-    flags = ("--image-topic", "--frame", "--base-frame")
-    _refuse("for a recording", dict(zip(flags, of_recording, strict=True)))
-    sensor_track, touch = read_sensor_track(poses), settings.touch
-    localizer = options.open_localizer(settings, store)
-    source = FolderReplay(folder, sensor_track, localizer, touch.unit, touch.press_depth_m, touch.kind)
+    for name, given in vars(of_recording).items():
+        if given is not None:
+            raise ConfigError(f"--{name.replace('_', '-')} is for a recording; leave it out")
+    sensor_track = read_sensor_track(poses)
+    source = FolderReplay(folder, sensor_track, options.open_localizer(settings, store))
     return _Opened(source, len(source.images))
-
-
-def _refuse(use: str, given: dict[str, Any]) -> None:
-    """Raise ConfigError for an option that was given without effect."""
-    for flag, value in given.items():
-        if value is not None:
-            raise ConfigError(f"{flag} is {use}; leave it out")
 
 
 def _locate(opened: _Opened, out: ReplayOutput, track: bool, fuse: bool) -> Replayed:

@@ -98,22 +98,7 @@ def size(store: Store = None) -> dict[str, Any]:
 
 @application.command()
 def prune(
-    older_than: Annotated[
-        str | None, declare("--older-than AGE", "Remove entries older than this: 30d, 12h, 2w, ...")
-    ] = None,
-    stage: Annotated[
-        list[str] | None, declare("--stage NAME", "Remove entries of this stage; may be repeated.")
-    ] = None,
-    incomplete: Annotated[
-        bool,
-        declare(
-            "--incomplete", "Remove the remains of interrupted builds; these builds then start from the beginning."
-        ),
-    ] = False,
-    keep_newest: Annotated[
-        int | None, typer.Option("--keep-newest", min=1, metavar="N", help="Keep the newest N entries of each stage.")
-    ] = None,
-    everything: Annotated[bool, declare("--all", "Remove all entries.")] = False,
+    criteria: Criteria,
     dry_run: Annotated[bool, declare("--dry-run", "List the entries without removing them.")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
     store: Store = None,
@@ -123,8 +108,6 @@ def prune(
     With several conditions, only entries that meet all conditions are removed. Entries being built are kept. If a
     removed entry is needed later, it is built again.
     """
-    age = None if older_than is None else parse_age(older_than)
-    criteria = Criteria(everything, tuple(stage or ()), age, incomplete, keep_newest or 0)
     place = _open(store)
     chosen = criteria.choose(place.entries())
     busy = [entry for entry in chosen if place.is_being_built(entry)]
@@ -255,42 +238,49 @@ def measure_age_s(entry: Entry, now: datetime | None = None) -> float:
 class Criteria:
     """The conditions for removing an entry. An entry is removed if it meets all conditions."""
 
-    everything: bool = False
-    stages: tuple[str, ...] = ()
-    older_than: timedelta | None = None
-    incomplete: bool = False
-    keep_newest: int = 0
+    older_than: Annotated[
+        str | None, declare("--older-than AGE", "Remove entries older than this: 30d, 12h, 2w, ...")
+    ] = None
+    stage: Annotated[list[str] | None, declare("--stage NAME", "Remove entries of this stage; may be repeated.")] = None
+    incomplete: Annotated[
+        bool,
+        declare(
+            "--incomplete", "Remove the remains of interrupted builds; these builds then start from the beginning."
+        ),
+    ] = False
+    keep_newest: Annotated[
+        int | None, declare("--keep-newest N", "Keep the newest N entries of each stage.", min=1)
+    ] = None
+    everything: Annotated[bool, declare("--all", "Remove all entries.")] = False
 
     def __post_init__(self) -> None:
-        if not (self.everything or self._some):
+        some = bool(self.stage or self.older_than is not None or self.incomplete or self.keep_newest)
+        if not (self.everything or some):
             raise ConfigError("no condition is given; give --older-than, --stage, --incomplete, --keep-newest or --all")
-        if self.everything and self._some:
+        if self.everything and some:
             raise ConfigError("--all excludes other conditions; leave out --all, or leave out the others")
-
-    @property
-    def _some(self) -> bool:
-        return bool(self.stages or self.older_than is not None or self.incomplete or self.keep_newest)
 
     def choose(self, entries: Sequence[Entry]) -> list[Entry]:
         """Return the entries to remove, in the given order. Raises ConfigError if a stage is not in the store."""
         known = {entry.stage for entry in entries}
-        if unknown := [stage for stage in self.stages if stage not in known]:
+        if unknown := [stage for stage in self.stage or () if stage not in known]:
             raise ConfigError(f"the store has no stage {unknown[0]!r}; {advise_choice(unknown[0], sorted(known))}")
+        least_s = 0.0 if self.older_than is None else parse_age(self.older_than).total_seconds()
         kept, now = set(self._find_newest(entries)), datetime.now(UTC)
-        return [entry for entry in entries if entry.path not in kept and self._is_met(entry, now)]
-
-    def _is_met(self, entry: Entry, now: datetime) -> bool:
-        return (
-            (not self.stages or entry.stage in self.stages)
-            and (self.older_than is None or measure_age_s(entry, now) > self.older_than.total_seconds())
+        return [
+            entry
+            for entry in entries
+            if entry.path not in kept
+            and (not self.stage or entry.stage in self.stage)
+            and (self.older_than is None or measure_age_s(entry, now) > least_s)
             and not (self.incomplete and entry.complete)
-        )
+        ]
 
     def _find_newest(self, entries: Sequence[Entry]) -> Iterator[Any]:
         """Yield the paths of the newest finished entries of each stage."""
         for group in group_by_stage(entries).values():
             finished = sorted((e for e in group if e.complete), key=lambda e: e.created, reverse=True)
-            yield from (entry.path for entry in finished[: self.keep_newest])
+            yield from (entry.path for entry in finished[: self.keep_newest or 0])
 
 
 def group_by_stage(entries: Sequence[Entry]) -> dict[str, list[Entry]]:

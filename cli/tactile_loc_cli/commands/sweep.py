@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,7 @@ from tactile_loc_cli import options
 from tactile_loc_cli.console import complain, format_count, make_progress, say, say_table, say_written
 from tactile_loc_cli.failures import UNEXPECTED, Finding
 from tactile_loc_cli.options import declare, set_option
-from tactile_loc_cli.workers import Processes, Scheduler, Threads, choose_workers
+from tactile_loc_cli.workers import WorkerOptions
 
 if TYPE_CHECKING:
     from tactile_loc.evaluation.sweep.plan import Plan
@@ -24,30 +25,6 @@ MOST_SHOWN = 40  # lines of a table
 
 PlanFile = Annotated[
     Path | None, typer.Argument(metavar="PLAN.toml", help="The plan; options on the command line override it.")
-]
-Objects = Annotated[
-    list[str] | None, declare("--object FILE|DEMO,...", "Mesh files or demo objects. Default: all demo objects.")
-]
-Sensors = Annotated[list[str] | None, declare("--sensor NAME|PATH,...", "Sensors. Default: gelslim.")]
-Renderers = Annotated[list[str] | None, declare("--renderer NAME,...", "Renderers. Default: heightmap.")]
-Grids = Annotated[list[str] | None, declare("--grid NAME,...", "Grids that list their poses. Default: face.")]
-Encoders = Annotated[list[str] | None, declare("--encoder NAME,...", "Encoders. Default: pixel.")]
-Matchers = Annotated[list[str] | None, declare("--matcher NAME,...", "Matchers. Default: dense.")]
-Refiners = Annotated[list[str] | None, declare("--refiner NAME,...", "Refiners. Default: joint.")]
-Fusers = Annotated[list[str] | None, declare("--fuser NAME,...", "Fusers. Default: product.")]
-Noises = Annotated[
-    list[str] | None, declare("--noise NAME,...", "Noises of the touches: none, mild, strong. Default: strong.")
-]
-Seeds = Annotated[list[str] | None, declare("--seed N,...", "Seeds of the touches. Default: 0.")]
-Options = Annotated[
-    list[str] | None,
-    set_option(
-        "Values of an option, such as grid.spacing_mm=3,4, for the components that have it; may be repeated.",
-        "SLOT.OPTION=VALUE,...",
-    ),
-]
-Count = Annotated[
-    int | None, declare("--count N", "Simulated touches for each combination. Default: 150.", min=1, max=100_000)
 ]
 Line = Annotated[
     str,
@@ -64,26 +41,43 @@ Compare = Annotated[
 Out = Annotated[Path, declare("--out FOLDER", "Folder of the rows, tables and pictures.")]
 
 
+@dataclass(frozen=True)
+class Choices:
+    """The values that are combined: the options that override a plan."""
+
+    object: Annotated[
+        list[str] | None, declare("--object FILE|DEMO,...", "Mesh files or demo objects. Default: all demo objects.")
+    ] = None
+    sensor: Annotated[list[str] | None, declare("--sensor NAME|PATH,...", "Sensors. Default: gelslim.")] = None
+    renderer: Annotated[list[str] | None, declare("--renderer NAME,...", "Renderers. Default: heightmap.")] = None
+    grid: Annotated[list[str] | None, declare("--grid NAME,...", "Grids that list their poses. Default: face.")] = None
+    encoder: Annotated[list[str] | None, declare("--encoder NAME,...", "Encoders. Default: pixel.")] = None
+    matcher: Annotated[list[str] | None, declare("--matcher NAME,...", "Matchers. Default: dense.")] = None
+    refiner: Annotated[list[str] | None, declare("--refiner NAME,...", "Refiners. Default: joint.")] = None
+    fuser: Annotated[list[str] | None, declare("--fuser NAME,...", "Fusers. Default: product.")] = None
+    noise: Annotated[
+        list[str] | None, declare("--noise NAME,...", "Noises of the touches: none, mild, strong. Default: strong.")
+    ] = None
+    seed: Annotated[list[str] | None, declare("--seed N,...", "Seeds of the touches. Default: 0.")] = None
+    option: Annotated[
+        list[str] | None,
+        set_option(
+            "Values of an option, such as grid.spacing_mm=3,4, for the components that have it; may be repeated.",
+            "SLOT.OPTION=VALUE,...",
+        ),
+    ] = None
+    count: Annotated[
+        int | None, declare("--count N", "Simulated touches for each combination. Default: 150.", min=1, max=100_000)
+    ] = None
+
+
 def sweep(
     plan: PlanFile = None,
-    object: Objects = None,
     *,
+    choices: Choices,
     given: Annotated[options.RunOptions, options.Takes("units", "symmetry")],
-    sensor: Sensors = None,
-    renderer: Renderers = None,
-    grid: Grids = None,
-    encoder: Encoders = None,
-    matcher: Matchers = None,
-    refiner: Refiners = None,
-    fuser: Fusers = None,
-    noise: Noises = None,
-    seed: Seeds = None,
-    option: Options = None,
-    count: Count = None,
     line: Line = "chosen",
-    workers: Processes = None,
-    threads: Threads = None,
-    scheduler: Scheduler = None,
+    workers: WorkerOptions,
     dry_run: DryRun = False,
     compare: Compare = None,
     out: Out = DEFAULT_OUT,
@@ -98,22 +92,7 @@ def sweep(
     from tactile_loc.evaluation.sweep.sweep import read_sweep, require_line, run_sweep
     from tactile_loc.store.store import StageStore
 
-    values = {
-        "object": object,
-        "sensor": sensor,
-        "renderer": renderer,
-        "grid": grid,
-        "encoder": encoder,
-        "matcher": matcher,
-        "refiner": refiner,
-        "fuser": fuser,
-        "noise": noise,
-        "seed": seed,
-        "count": count,
-        "option": option,
-    }
-    values = {key: value for key, value in values.items() if value is not None}
-
+    values = {key: value for key, value in vars(choices).items() if value is not None}
     require_line(line)
     if plan is None and not values:
         return _compare(compare, out, line)
@@ -123,7 +102,7 @@ def sweep(
         return _list_combinations(wanted, out, place)
     if compare is not None:
         read_sweep(compare)  # raises an error now, not after the sweep
-    found = run_sweep(wanted, out, place, choose_workers(out, workers, scheduler, threads), make_progress())
+    found = run_sweep(wanted, out, place, workers.choose(out), make_progress())
     report = _report(found, out, line)
     if compare is not None:
         report["comparison"] = _compare(compare, out, line)

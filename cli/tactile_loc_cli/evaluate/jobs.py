@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say, say_table, say_written
-from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.options import Noise, RunOptions, declare
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,27 +25,100 @@ if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig
 
 Job = tuple["RunConfig", "ObjectModel"]
+_PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What is evaluated: the command's own options. An option that was not given is None, or empty."""
+    """What is evaluated: the command's own options. Raises ConfigError for options that do not go together."""
 
-    objects: list[str] | None
-    encoders: list[str] | None
-    count: int | None
-    together: tuple[int, ...] | None
-    touches: tuple[Path, ...]
-    images: bool
-    noises: tuple[options.Noise, ...]
-    seeds: tuple[int, ...]
-    out: Path
-    store: Path | None
+    object: Annotated[
+        list[str] | None,
+        declare("--object FILE|DEMO", "Mesh file or demo object; may be repeated. Default: all demo objects."),
+    ] = None
+    touches: Annotated[
+        list[Path] | None,
+        declare(
+            "--touches FILE|FOLDER",
+            "Your own touches with known poses: a CSV table, the folder that `simulate` wrote, or a list of touches "
+            "(.toml); may be repeated. Default: simulated touches.",
+        ),
+    ] = None
+    count: Annotated[
+        int | None,
+        declare(
+            "--count N",
+            "Number of simulated examples for each object, noise and seed. Default: 20. With --paper: 100, or 150 "
+            "single touches.",
+            min=1,
+            max=100_000,
+        ),
+    ] = None
+    together: Annotated[
+        str | None,
+        declare(
+            "--together RANGE",
+            "Locate from these numbers of touches together: 1..7, or 1,2,3 (at most 20). Default: 1..3; of your own "
+            "touches, all. With --paper: single touches.",
+        ),
+    ] = None
+    noise: Annotated[
+        list[Noise] | None,
+        declare("--noise <none|mild|strong>", "Noise of simulated touches; may be repeated. Default: none and strong."),
+    ] = None
+    seed: Annotated[
+        list[int] | None, declare("--seed N", "Seed of the simulated touches; may be repeated. Default: 0.", min=0)
+    ] = None
+    images: Annotated[
+        bool,
+        declare("--images", "Simulate images of the touches, for a sensor that was calibrated on simulated images."),
+    ] = False
+    paper: Annotated[bool, declare("--paper", "Follow the protocol of the paper, on a grid that lists its poses.")] = (
+        False
+    )
+    encoder: Annotated[list[str] | None, declare("--encoder NAME", "Encoder; may be repeated. Default: pixel.")] = None
+    out: Annotated[Path, declare("--out FOLDER", "Folder of the results and pictures.")] = Path("evaluation")
+    store: options.Store = None
+
+    def __post_init__(self) -> None:
+        simulated = {"--noise": self.noise, "--count": self.count, "--seed": self.seed, "--images": self.images}
+        for flag, given in {**simulated, "--paper": self.paper}.items():
+            if given and self.touches:
+                raise ConfigError(
+                    f"{flag} needs simulated touches; leave it out, or leave out --touches {self.touches[0]}"
+                )
+
+    @property
+    def noises(self) -> tuple[Noise, ...]:
+        """The given noises, each once."""
+        return tuple(dict.fromkeys(self.noise or ()))
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds, each once."""
+        return tuple(dict.fromkeys(self.seed or (0,)))
+
+    @property
+    def numbers(self) -> tuple[int, ...] | None:
+        """The given numbers of touches in ascending order. Raises ConfigError if they cannot be read."""
+        from tactile_loc.evaluation.fusion import MOST_FUSED
+
+        if self.together is None:
+            return None
+        numbers: set[int] = set()
+        for part in self.together.replace(" ", "").split(","):
+            match = _PART.fullmatch(part)
+            first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
+            if not 1 <= first <= last <= MOST_FUSED:
+                raise ConfigError(
+                    f"--together cannot be {self.together!r}; give a range or a list of numbers from 1 to "
+                    f"{MOST_FUSED}, such as 1..7 or 1,2,3"
+                )
+            numbers.update(range(first, last + 1))
+        return tuple(sorted(numbers))
 
 
-def list_jobs(
-    given: RunOptions, objects: list[str] | None, encoders: list[str] | None, touches: SimulatedTouches | None
-) -> list[Job]:
+def list_jobs(given: RunOptions, asked: Asked, touches: SimulatedTouches | None) -> list[Job]:
     """Return every object with every encoder. The sensor must be able to read the simulated `touches`, if any.
 
     Bad input raises its error here, before the first evaluation.
@@ -53,21 +127,21 @@ def list_jobs(
     from tactile_loc.io.meshes.mesh_files import load_object
 
     in_file = read_setting(given.config, "object", "path")
-    paths = objects or ([in_file] if in_file else list(DEMO_OBJECTS))
+    paths = asked.object or ([in_file] if in_file else list(DEMO_OBJECTS))
     if given.symmetry is not None and len(paths) > 1:
         raise ConfigError("--symmetry needs a single object; give one --object")
     words = list(given.option or [])
-    names: list[str | None] = [*encoders] if encoders else [None]
+    names: list[str | None] = [*asked.encoder] if asked.encoder else [None]
     overrides = parse_overrides(parse_settings(words)[1]).get("encoder", {})
     if touches is not None:
-        given = dataclasses.replace(given, noise=options.Noise(touches.noise))
+        given = dataclasses.replace(given, noise=Noise(touches.noise))
     jobs = []
     for path in dict.fromkeys(paths):
-        asked = [
+        each = [
             dataclasses.replace(given, object=path, encoder=name, option=choose_options(name, names, words, overrides))
             for name in dict.fromkeys(names)
         ]
-        settings = [options.make_config(one) for one in asked]
+        settings = [options.make_config(one) for one in each]
         chosen = settings[0].object
         obj = load_object(chosen.path, chosen.units, chosen.symmetry)
         for setting in settings:

@@ -45,12 +45,12 @@ def evaluate_paper(given: RunOptions, asked: Asked) -> dict[str, Any]:
             raise ConfigError(f"--paper takes a single {flag}; give one, or leave out --paper")
     if not read_setting(given.config, "grid", "name"):
         given = dataclasses.replace(given, grid=given.grid or LISTED.name)  # the protocol ranks all poses of the grid
-    source = choose_touches(given, asked)
-    jobs = list_jobs(given, asked.objects, asked.encoders, source)
-    default = DEFAULT_COUNT if asked.together is None else CONTACT_COUNT
+    source, numbers = choose_touches(given, asked), asked.numbers
+    jobs = list_jobs(given, asked, source)
+    default = DEFAULT_COUNT if numbers is None else CONTACT_COUNT
     plan = _Plan(asked.count or default, source, asked.out, asked.store)
-    if asked.together is not None:
-        return _evaluate_fusion(jobs, asked.together, plan)
+    if numbers is not None:
+        return _evaluate_fusion(jobs, numbers, plan)
     return _report(plan, [plan.work(settings, obj) for settings, obj in jobs])
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_reasons
 from tactile_loc_cli.evaluate.jobs import (
@@ -34,7 +35,7 @@ def evaluate_answers(given: RunOptions, asked: Asked) -> dict[str, Any]:
     Raises TouchError if every example was refused.
     """
     if asked.touches:
-        runs, about = _evaluate_own(given, asked)
+        runs, about = _evaluate_own(given, asked, asked.touches)
     else:
         runs, about = _evaluate_simulated(given, asked)
     return _report(runs, about, asked)
@@ -44,9 +45,9 @@ def _evaluate_simulated(given: RunOptions, asked: Asked) -> tuple[list[Evaluated
     """Return the results of simulated touches, and what was simulated."""
     from tactile_loc.evaluation.recall.examples import DrawnExamples
 
-    count, together = asked.count or DEFAULT_COUNT, asked.together or DEFAULT_TOGETHER
+    count, together = asked.count or DEFAULT_COUNT, asked.numbers or DEFAULT_TOGETHER
     sources = list(_list_sources(given, asked))
-    jobs = list_jobs(given, asked.objects, asked.encoders, sources[0])
+    jobs = list_jobs(given, asked, sources[0])
     runs = []
     for job in jobs:
         localizer = options.open_localizer(job[0], asked.store, job[1])
@@ -68,30 +69,28 @@ def _list_sources(given: RunOptions, asked: Asked) -> Iterator[SimulatedTouches]
             yield SimulatedTouches(str(noise), seed, asked.images)
 
 
-def _evaluate_own(given: RunOptions, asked: Asked) -> tuple[list[EvaluatedRun], dict[str, Any]]:
-    """Return the results of the user's own touches, and where they come from."""
+def _evaluate_own(
+    given: RunOptions, asked: Asked, touches: Sequence[Path]
+) -> tuple[list[EvaluatedRun], dict[str, Any]]:
+    """Return the results of the user's own touches, and where they come from.
+
+    Raises ConfigError unless their object is given, and only one object.
+    """
     from tactile_loc.evaluation.fusion import MOST_FUSED
     from tactile_loc.evaluation.recall.examples import LabelledExamples
 
-    jobs = list_jobs(given, asked.objects, asked.encoders, None)
-    _require_one_object(jobs, asked)
+    numbers, jobs = asked.numbers, list_jobs(given, asked, None)
+    options.require_object(jobs[0][0], f"--touches {touches[0]}")
+    if len({obj.name for _, obj in jobs}) > 1:
+        raise ConfigError(f"--touches {touches[0]} are of one object; give one --object")
     runs = []
     for job in jobs:
         localizer = options.open_localizer(job[0], asked.store, job[1])
-        examples = LabelledExamples.read(localizer, asked.touches)
-        together = asked.together or tuple(range(1, min(examples.most, MOST_FUSED) + 1))
+        examples = LabelledExamples.read(localizer, touches)
+        together = numbers or tuple(range(1, min(examples.most, MOST_FUSED) + 1))
         examples.require_touches(together)
         runs.append(_evaluate(job, localizer, examples, together))
-    return runs, {"examples": examples.count, "touches": [str(path) for path in asked.touches]}
-
-
-def _require_one_object(jobs: Sequence[Job], asked: Asked) -> None:
-    """Raise ConfigError unless the touched object is given, and only one object."""
-    from tactile_loc.core.runtime.errors import ConfigError
-
-    options.require_object(jobs[0][0], f"--touches {asked.touches[0]}")
-    if len({obj.name for _, obj in jobs}) > 1:
-        raise ConfigError(f"--touches {asked.touches[0]} are of one object; give one --object")
+    return runs, {"examples": examples.count, "touches": [str(path) for path in touches]}
 
 
 def _evaluate(job: Job, localizer: Localizer, examples: ExampleSource, together: Sequence[int]) -> EvaluatedRun:

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tactile_loc.commands import (
     UNEXPECTED,
     Finding,
-    Processes,
-    Scheduler,
     Store,
-    choose_workers,
+    Takes,
+    WorkerOptions,
     declare,
     format_count,
     make_progress,
@@ -35,6 +34,7 @@ Methods = Annotated[
 ]
 Data = Annotated[Path | None, declare("--data FOLDER", "Folder of recorded touches and further meshes.")]
 Examples = Annotated[int | None, declare("--examples N", "Examples of each object. Default: the suite's.", min=1)]
+Workers = Annotated[WorkerOptions, Takes("workers", "scheduler")]
 List = Annotated[bool, declare("--list", "Only list the sources and methods of the suite, with their labels.")]
 Report = Annotated[
     bool, declare("--report", "Only write report.html again, from the other files in the folder of --out.")
@@ -48,8 +48,8 @@ def benchmark(
     method: Methods = None,
     data: Data = None,
     examples: Examples = None,
-    workers: Processes = None,
-    scheduler: Scheduler = None,
+    *,
+    workers: Workers,
     list_labels: List = False,
     report: Report = False,
     out: Out = DEFAULT_OUT,
@@ -80,7 +80,7 @@ def benchmark(
     if list_labels:
         return _list_labels(chosen)
     stages = StageStore(store)
-    found = run_benchmark(chosen, out, stages.root, choose_workers(out, workers, scheduler), make_progress())
+    found = run_benchmark(chosen, out, stages.root, workers.choose(out), make_progress())
     results, pictures = found.results, list(show_sources(found, stages))
     files = write_benchmark(out, results, pictures)
     if results.rows:

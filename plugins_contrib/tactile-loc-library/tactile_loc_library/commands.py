@@ -10,18 +10,12 @@ import typer
 from tactile_loc.commands import (
     UNEXPECTED,
     USAGE_ERROR,
-    Around,
-    Candidates,
     Finding,
     IdentificationOutput,
-    Processes,
-    Report,
-    Require,
     RunOptions,
-    Scheduler,
     Store,
     Takes,
-    choose_workers,
+    WorkerOptions,
     complain,
     declare,
     format_bytes,
@@ -38,7 +32,6 @@ if TYPE_CHECKING:
     from tactile_loc_library.library import Library
 
 DIRECTIONS, LOCATED, UNKNOWN = 800, 12, 0.2
-DEFAULT_OUT = Path("tactile-loc-identify")
 
 Meshes = Annotated[
     list[Path], typer.Argument(metavar="MESH", help="Mesh files (stl, obj, ply, off, step), or folders of mesh files.")
@@ -71,7 +64,7 @@ Located = Annotated[int, declare("--located N", "Most parts to locate: the most 
 Unknown = Annotated[
     float, declare("--unknown SHARE", "Share of touched objects that are no part, before any touch: above 0, below 1.")
 ]
-Answer = Annotated[Path, declare("--out FOLDER", "Folder of identification.json.")]
+Workers = Annotated[WorkerOptions, Takes("workers", "scheduler")]
 GivenTouch = Annotated[RunOptions, Takes("touch_unit", "touch_kind", "press_depth", "sensor", "option", "config")]
 
 application = typer.Typer()
@@ -79,12 +72,7 @@ application = typer.Typer()
 
 @application.command()
 def build(
-    meshes: Meshes,
-    given: Given,
-    out: Out,
-    directions: Directions = DIRECTIONS,
-    workers: Processes = None,
-    scheduler: Scheduler = None,
+    meshes: Meshes, given: Given, out: Out, workers: Workers, directions: Directions = DIRECTIONS
 ) -> dict[str, Any]:
     """Build a library that has exactly these parts.
 
@@ -98,13 +86,11 @@ def build(
     chosen = make_config(given).object
     sources = list_meshes(meshes, chosen.units, chosen.symmetry)
     grid = PlaceGrid("whole", {"directions": directions})
-    return _report(build_library(out, sources, grid, _choose_runner(out, workers, scheduler), make_progress()))
+    return _report(build_library(out, sources, grid, _choose_runner(out, workers), make_progress()))
 
 
 @application.command()
-def add(
-    library: Folder, meshes: Meshes, given: Given, workers: Processes = None, scheduler: Scheduler = None
-) -> dict[str, Any]:
+def add(library: Folder, meshes: Meshes, given: Given, workers: Workers) -> dict[str, Any]:
     """Add parts to a library, or replace parts of the same name.
 
     The options and the exit code are as for `library build`.
@@ -113,7 +99,7 @@ def add(
 
     chosen = make_config(given).object
     sources = list_meshes(meshes, chosen.units, chosen.symmetry)
-    return _report(add_parts(library, sources, _choose_runner(library, workers, scheduler), make_progress()))
+    return _report(add_parts(library, sources, _choose_runner(library, workers), make_progress()))
 
 
 @application.command()
@@ -174,11 +160,8 @@ def identify(
     given: GivenTouch,
     located: Located = LOCATED,
     unknown: Unknown = UNKNOWN,
-    candidates: Candidates = None,
-    around: Around = None,
-    out: Answer = DEFAULT_OUT,
-    report: Report = False,
-    require: Require = None,
+    *,
+    output: IdentificationOutput,
     store: Store = None,
 ) -> dict[str, Any]:
     """Find which part of a library was touched.
@@ -196,19 +179,16 @@ def identify(
     null = NullEvidence(unknown)
     settings = make_config(replace(given, touch=touch))
     search = PartSearch(Library.open(library), settings, StageStore(store), make_progress())
-    output = IdentificationOutput(out, candidates, around, report, require)
     with search.use(0) as part:
         touches = [one for _, one in read_touches(part.model, Path(touch))]
     return output.conclude(identify_part(touches, search, located, null), touches)
 
 
-def _choose_runner(library: Path, workers: int | None, scheduler: str | None) -> RunJobs:
+def _choose_runner(library: Path, workers: WorkerOptions) -> RunJobs:
     """Return what runs the jobs: this process if one worker is enough, otherwise other processes."""
     from tactile_loc_library.building import WAITING, run_here
 
-    if scheduler is None and workers == 1:
-        return run_here
-    return choose_workers(library / WAITING, workers, scheduler).run_jobs
+    return run_here if workers == WorkerOptions(workers=1) else workers.choose(library / WAITING).run_jobs
 
 
 def _report(built: Built) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from library_helpers import FEW, NAMES, flip, read_files
 from tactile_loc import TactileLocError
-from tactile_loc.commands import choose_workers
+from tactile_loc.commands import WorkerOptions
 from tactile_loc.plugin import ConfigError
 
 from tactile_loc_library import building
@@ -201,7 +201,7 @@ def test_a_killed_build_continues_with_equal_files(meshes, built, tmp_path):
 @pytest.mark.slow
 def test_two_local_workers_give_equal_files(sources, built, tmp_path):
     out = tmp_path / "out"
-    build_library(out, sources, FEW, choose_workers(out / WAITING, 2, None).run_jobs)
+    build_library(out, sources, FEW, WorkerOptions(2).choose(out / WAITING).run_jobs)
     assert read_files(out) == read_files(built)
 
 
@@ -221,7 +221,7 @@ def test_a_killed_worker_of_a_cluster_costs_only_time(sources, built, tmp_path):
 
         killer = threading.Thread(target=kill)
         killer.start()
-        done = build_library(out, sources, FEW, choose_workers(out, None, cluster.scheduler_address).run_jobs)
+        done = build_library(out, sources, FEW, WorkerOptions(scheduler=cluster.scheduler_address).choose(out).run_jobs)
         killer.join()
     assert (done.made, done.failed) == (NAMES, {})
     assert read_files(out) == read_files(built)

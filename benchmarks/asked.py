@@ -1,0 +1,50 @@
+"""What the benchmarks share: their command line, the objects that it names, and touches of these objects."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.slots.registry import registry
+
+
+def make_parser(about: str | None, objects: Sequence[str]) -> argparse.ArgumentParser:
+    """Return a parser of a command line that names objects. Its help is the benchmark's docstring."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    named = f"FILE[:UNITS] or the name of a demo object; default: {' '.join(objects)}"
+    parser.add_argument("objects", nargs="*", default=objects, help=named)
+    return parser
+
+
+def split_asked(asked: str) -> tuple[str, Any]:
+    """Return the path or the name of an object, and the unit of its file."""
+    path, _, units = asked.partition(":")
+    return path, units or "auto"
+
+
+def name_asked(asked: str) -> str:
+    """Return the name of an object: that of its file, without the suffix."""
+    return Path(split_asked(asked)[0]).stem
+
+
+def load_asked(asked: str) -> ObjectModel:
+    """Return an object that the command line names."""
+    return load_object(*split_asked(asked))
+
+
+def open_asked(asked: str, **settings: Any) -> Localizer:
+    """Return a localizer of an object that the command line names; `settings` are those of `Localizer.create`."""
+    path, units = split_asked(asked)
+    return Localizer.create(path, units=units, **settings)
+
+
+def make_source(obj: ObjectModel, geometry: SensorGeometry, **errors: Any) -> RobotTouches:
+    """Return touches that are drawn by ray casting, which no localizer uses. `errors` are those of RobotTouches."""
+    return RobotTouches(obj, geometry, registry().create("renderer", "raycast", {}), **errors)
