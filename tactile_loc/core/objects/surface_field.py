@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,10 +60,11 @@ class SurfaceField:
         """The memory of the field's arrays, bytes."""
         return self.distances.nbytes + sum(part.nbytes for part in self.triangles if isinstance(part, np.ndarray))
 
-    def to_unit(self, per_m: float) -> NearestTriangles:
-        """Return the arrays for compiled code in another unit of length. A metre has `per_m` of these units."""
+    @cached_property
+    def triangles_mm(self) -> NearestTriangles:
+        """The arrays for compiled code, in mm."""
         of = self.triangles
-        return of._replace(corners=of.corners * per_m, sides=of.sides * per_m, low=of.low * per_m, cell=of.cell * per_m)
+        return of._replace(corners=of.corners * 1e3, sides=of.sides * 1e3, low=of.low * 1e3, cell=of.cell * 1e3)
 
     def find_closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return the surface points (N, 3), metres, nearest to points (N, 3), metres, in the object frame.

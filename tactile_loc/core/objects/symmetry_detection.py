@@ -77,19 +77,18 @@ def _find_worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float, a
     surface, then so does a generator.
     """
     elements, generators = group.list_elements(_VERIFY_STEP_RAD)[1:, :3, :3], _list_generators(group)
-    few, many = probe.few.first(_VERIFY_EVALUATIONS // (len(elements) + 1)), probe.many
+    few, many = probe.few[: _VERIFY_EVALUATIONS // (len(elements) + 1)], probe.many
     worst, shift_m = (0.0, np.eye(3), probe.centre_m), group.centre_m - probe.centre_m
     for number, R in enumerate([*elements, *(generators if all_points else ())]):
-        some = few if number < len(elements) else many
-        mapped_m = (some.points_m - shift_m) @ R.T + shift_m
-        if some is few:
-            each_m = probe.deviation_m(mapped_m, few.open_m, tolerance_m)
+        moved = (few if number < len(elements) else many).rotate(R, shift_m)
+        if number < len(elements):
+            each_m = probe.deviation_m(moved, tolerance_m)
             index = int(np.argsort(each_m)[_count_kept(len(few)) - 1])
             deviation_m = float(each_m[index])
         else:
-            deviation_m, index = probe.patch_deviation_m(mapped_m, many.open_m, tolerance_m)
+            deviation_m, index = probe.patch_deviation_m(moved, tolerance_m)
         if deviation_m > worst[0]:
-            worst = deviation_m, R, mapped_m[index] + probe.centre_m
+            worst = deviation_m, R, moved.points_m[index] + probe.centre_m
     return worst
 
 
@@ -134,22 +133,18 @@ class _Search:
     def _is_nearly_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
         """Return whether a rotation maps a few points of the surface onto the surface, except a thousandth of them."""
         R, few, half_m = rotation_about(axis, angle_rad), self._probe.few, 0.5 * self._tolerance_m
-        first = few.first(150)
-        deviation_m = self._probe.deviation_m(first.points_m @ R.T, first.open_m, half_m, candidates=24)
+        deviation_m = self._probe.deviation_m(few[:150].rotate(R), half_m, candidates=24)
         if np.count_nonzero(deviation_m > 2.0 * self._tolerance_m) > 10:
             return False
-        deviation_m = self._probe.deviation_m(few.points_m @ R.T, few.open_m, half_m)
+        deviation_m = self._probe.deviation_m(few.rotate(R), half_m)
         kept_m = np.sort(deviation_m)[: _count_kept(len(deviation_m))]
         return bool(kept_m[-1] <= self._tolerance_m and np.mean(kept_m**2) <= half_m**2)
 
     def _has_no_feature(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
         """Return whether no patch of the surface, rotated in either direction, is beyond the tolerance."""
-        many = self._probe.many
-        for sign in (1.0, -1.0)[: 1 if angle_rad == math.pi else 2]:
-            rotated_m = many.points_m @ rotation_about(axis, sign * angle_rad).T
-            if self._probe.patch_deviation_m(rotated_m, many.open_m, self._tolerance_m)[0]:
-                return False
-        return True
+        angles_rad = (angle_rad,) if angle_rad == math.pi else (angle_rad, -angle_rad)
+        rotated = (self._probe.many.rotate(rotation_about(axis, angle)) for angle in angles_rad)
+        return not any(self._probe.patch_deviation_m(moved, self._tolerance_m)[0] for moved in rotated)
 
     def _is_continuous(self, axis: NDArray[np.float64]) -> bool:
         """Return whether every rotation about an axis (3,) maps the surface onto itself."""

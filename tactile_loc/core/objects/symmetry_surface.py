@@ -33,9 +33,12 @@ class SurfaceSample:
     def __len__(self) -> int:
         return len(self.points_m)
 
-    def first(self, count: int) -> SurfaceSample:
-        """Return the first `count` points."""
-        return SurfaceSample(self.points_m[:count], self.open_m[:count])
+    def __getitem__(self, some: slice | NDArray[np.intp]) -> SurfaceSample:
+        return SurfaceSample(self.points_m[some], self.open_m[some])
+
+    def rotate(self, R: NDArray[np.float64], centre_m: NDArray[np.float64] | float = 0.0) -> SurfaceSample:
+        """Return the points rotated by R (3, 3) about a centre (3,), metres, by default the centroid."""
+        return SurfaceSample((self.points_m - centre_m) @ R.T + centre_m, self.open_m)
 
 
 class SurfaceProbe:
@@ -93,44 +96,37 @@ class SurfaceProbe:
         """
         return np.sqrt(self._find_nearest_face(points_m, candidates)[0])
 
-    def deviation_m(
-        self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], exact_above_m: float, candidates: int = 256
-    ) -> NDArray[np.float64]:
-        """Return the distances (N,) of points (N, 3) from the surface, minus the facets' errors there.
+    def deviation_m(self, moved: SurfaceSample, exact_above_m: float, candidates: int = 256) -> NDArray[np.float64]:
+        """Return the distances (N,) of a moved sample from the surface, minus the facets' errors there.
 
-        `open_m` (N,) are the facets' errors where the points were sampled. Deviations above `exact_above_m` are
-        measured again with the faces of more samples, up to `candidates`. For many points, fewer samples are used.
+        Deviations above `exact_above_m` are measured again with the faces of more samples, up to `candidates`. For many
+        points, fewer samples are used.
         """
-        deviation_m = self._measure_beyond_facets(points_m, open_m, 1)
-        for more, most in ((4, len(points_m)), (_NEAR, len(points_m)), (256, _FEW)):
+        deviation_m = self._measure_beyond_facets(moved, 1)
+        for more, most in ((4, len(moved)), (_NEAR, len(moved)), (256, _FEW)):
             far = np.flatnonzero(deviation_m > exact_above_m)
             if more <= candidates and 0 < len(far) <= most:
-                deviation_m[far] = self._measure_beyond_facets(points_m[far], open_m[far], more)
+                deviation_m[far] = self._measure_beyond_facets(moved[far], more)
         return deviation_m
 
-    def patch_deviation_m(
-        self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], above_m: float
-    ) -> tuple[float, int]:
+    def patch_deviation_m(self, moved: SurfaceSample, above_m: float) -> tuple[float, int]:
         """Return the largest deviation that two neighbouring points share, and the index of one of these points.
 
-        The points (N, 3) are those of the sample `many`, moved. A sensor does not see a single deviating point, because
-        it is too small. Only deviations above `above_m` count. If no two neighbours deviate, the result is (0.0, 0).
-        `open_m` is as for `deviation_m`.
+        The points are those of the sample `many`, moved. A sensor does not see a single deviating point, because it is
+        too small. Only deviations above `above_m` count. If no two neighbours deviate, the result is (0.0, 0).
         """
-        deviation_m = self.deviation_m(points_m, open_m, above_m)
+        deviation_m = self.deviation_m(moved, above_m)
         far = np.flatnonzero(deviation_m > above_m)
-        pairs = cKDTree(points_m[far]).query_pairs(_PATCH * self._pitch_m, output_type="ndarray")
+        pairs = cKDTree(moved.points_m[far]).query_pairs(_PATCH * self._pitch_m, output_type="ndarray")
         if len(pairs) == 0:
             return 0.0, 0
         both_m = deviation_m[far[pairs]].min(axis=1)
         return float(both_m.max()), int(far[pairs[both_m.argmax(), 0]])
 
-    def _measure_beyond_facets(
-        self, points_m: NDArray[np.float64], open_m: NDArray[np.float64], count: int
-    ) -> NDArray[np.float64]:
-        squared_m2, _, faces = self._find_nearest_face(points_m, count)
+    def _measure_beyond_facets(self, moved: SurfaceSample, count: int) -> NDArray[np.float64]:
+        squared_m2, _, faces = self._find_nearest_face(moved.points_m, count)
         here_m = self._open_m[faces[:, :_NEAR]].max(axis=1)
-        return np.maximum(np.sqrt(squared_m2) - np.maximum(here_m, open_m), 0.0)
+        return np.maximum(np.sqrt(squared_m2) - np.maximum(here_m, moved.open_m), 0.0)
 
     def _find_nearest_face(
         self, points_m: NDArray[np.float64], count: int

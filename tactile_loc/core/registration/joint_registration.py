@@ -20,9 +20,9 @@ from pydantic import Field
 
 from tactile_loc.core.geometry.lie import move_covariance
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.objects.blocks import Blocks, NearestTriangles, make_blocks
+from tactile_loc.core.objects.blocks import Blocks, make_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field
+from tactile_loc.core.objects.surface_field import build_surface_field
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.observations import MILLI, observe
@@ -187,7 +187,7 @@ class JointRegistration:
             np.square(sensor),
             np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]),
             options.noise_mm,
-            _triangles_mm(build_surface_field(mesh, cell_m)),
+            build_surface_field(mesh, cell_m).triangles_mm,
             _samples_mm(mesh),
             mesh.centroid_m * MILLI,
         )
@@ -282,8 +282,3 @@ def _convert_to_covariances(information: Floats, levers_m: Floats) -> Covariance
 def _samples_mm(mesh: TriangleMesh) -> Blocks:
     points = mesh.sample(SAMPLES, np.random.default_rng(0)) * MILLI
     return make_blocks(points[:, None], BLOCK)
-
-
-@lru_cache(maxsize=64)
-def _triangles_mm(field: SurfaceField) -> NearestTriangles:
-    return field.to_unit(MILLI)

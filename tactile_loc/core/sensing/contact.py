@@ -193,21 +193,14 @@ def _find_lowest_of_triangle(p, x0, x1, y0, y1):
         return np.inf
     best = np.inf
     for c in range(3):
-        best = min(best, _find_lowest_of_edge(p[c], p[(c + 1) % 3], x0, x1, y0, y1))
+        a, b = p[c], p[(c + 1) % 3]
+        enter, leave = _clip_segment(a, b, x0, x1, y0, y1)
+        if enter <= leave:
+            best = min(best, a[2] + enter * (b[2] - a[2]), a[2] + leave * (b[2] - a[2]))
     for x in (x0, x1):
         for y in (y0, y1):
             best = min(best, _find_height_at(p, x, y))
     return best
-
-
-@njit
-def _find_lowest_of_edge(a, b, x0, x1, y0, y1):
-    """Return the lowest z of the part of segment a-b over the rectangle; inf if there is no such part."""
-    enter, leave = _clip_segment(a, b, x0, x1, y0, y1)
-    if enter > leave:
-        return np.inf
-    dz = b[2] - a[2]
-    return min(a[2] + enter * dz, a[2] + leave * dz)
 
 
 @njit

@@ -224,6 +224,4 @@ class _Inverse:
         return last
 
 
-@lru_cache(maxsize=8)
-def _make_inverse(gel: Gel, shape: tuple[int, int], pitch_m: tuple[float, float]) -> _Inverse:
-    return _Inverse(gel, shape, pitch_m)
+_make_inverse = lru_cache(maxsize=8)(_Inverse)

@@ -73,7 +73,7 @@ class GelPixels:
         x, y = (
             _make_blur_weights(len(a), sigma_m / p) for a, p in zip((self.x_m, self.y_m), self.pitch_m, strict=True)
         )
-        return _transform_images(images, y, x)
+        return np.asarray(y @ (images @ x.T))
 
     def draw_field(self, count: int, patch_m: float, rng: np.random.Generator) -> Float32:
         """Draw smooth random images (count, H, W) with mean 0 and variance 1 everywhere, unitless.
@@ -84,7 +84,7 @@ class GelPixels:
         x0, x1, y0, y1 = self.rectangle_m
         x, y = _make_field_weights(self.x_m, x0, x1, patch_m), _make_field_weights(self.y_m, y0, y1, patch_m)
         white = rng.standard_normal((count, y.shape[1], x.shape[1]), dtype=np.float32)
-        return _transform_images(white, y, x)
+        return np.asarray(y @ (white @ x.T))
 
     def mark_border(self, width_m: Float64, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Return a mask (N, H, W) of strips with widths (N,), metres, each along one random side of the rectangle."""
@@ -125,24 +125,14 @@ def stamp(
 
     The ufunc `combine` computes the new depth from the old depth and the disc's `value_m` (P,).
     """
-    left, right = _find_interval(gel.x_m, centres.x_m, radius_m)
-    top, bottom = _find_interval(gel.y_m, centres.y_m, radius_m)
+    left, right = (np.searchsorted(gel.x_m, centres.x_m + sign * radius_m) for sign in (-1, 1))
+    top, bottom = (np.searchsorted(gel.y_m, centres.y_m + sign * radius_m) for sign in (-1, 1))
     for i, image in enumerate(centres.image):
         rows, columns = slice(top[i], bottom[i]), slice(left[i], right[i])
         dx, dy = gel.x_m[columns] - centres.x_m[i], gel.y_m[rows] - centres.y_m[i]
         inside = (dy * dy)[:, None] + dx * dx < radius_m[i] ** 2
         block = depth[image, rows, columns]
         combine(block, np.float32(value_m[i]), out=block, where=inside)
-
-
-def _find_interval(pixels_m: Float64, centre_m: Float64, radius_m: Float64) -> tuple[Index, Index]:
-    """Return the slice bounds (P,) of those sorted pixels (W,) that are within radii (P,) of centres (P,), metres."""
-    return np.searchsorted(pixels_m, centre_m - radius_m), np.searchsorted(pixels_m, centre_m + radius_m)
-
-
-def _transform_images(images: Float32, rows: Float32, columns: Float32) -> Float32:
-    """Transform images (N, h, w) to (N, H, W) by matrices (H, h) for the rows and (W, w) for the columns."""
-    return np.asarray(rows @ (images @ columns.T))
 
 
 @lru_cache(maxsize=64)
@@ -271,7 +261,11 @@ class TouchNoise:
         if self.smoothing_m > 0:
             depth[...] = np.maximum(press - gel.blur(press - depth, self.smoothing_m), 0.0)
         if self.least_m > 0 or self.edge_m > 0:
-            np.copyto(depth, press, where=press - depth <= self._draw_threshold(len(depth), gel, rng))
+            least = np.float32(self.least_m)
+            if self.edge_m > 0:
+                varying = least + np.float32(self.edge_m) * gel.draw_field(len(depth), self.edge_patch_m, rng)
+                least = np.maximum(varying, np.float32(FAINTEST) * least)
+            np.copyto(depth, press, where=press - depth <= least)
         if self.drift_m > 0:
             drifted = depth + np.float32(self.drift_m) * gel.draw_field(len(depth), self.drift_patch_m, rng)
             np.copyto(depth, np.clip(drifted, 0, np.nextafter(press, np.float32(0))), where=depth < press)
@@ -289,14 +283,6 @@ class TouchNoise:
         """
         press, measured = (np.asarray(p, np.float32)[:, None, None] for p in (press_depth_m, measured_m))
         return np.where(depth_m < np.minimum(press, measured), depth_m, measured)
-
-    def _draw_threshold(self, count: int, gel: GelPixels, rng: np.random.Generator) -> Float32 | np.float32:
-        """Draw the least imprint, metres, that the sensor sees: one number, or (count, H, W) if it varies."""
-        least = np.float32(self.least_m)
-        if self.edge_m == 0:
-            return least
-        wander = gel.draw_field(count, self.edge_patch_m, rng)
-        return np.maximum(least + np.float32(self.edge_m) * wander, np.float32(FAINTEST) * least)
 
     def _add_patches(self, depth: Float32, press: Float32, gel: GelPixels, rng: np.random.Generator) -> None:
         """Remove round patches of contact from depths (N, H, W), cut at `press` (N, 1, 1), metres; add false ones."""

@@ -345,9 +345,34 @@ def contact_shape_from_array(
     """
     raw = require_numbers(np.asarray(values), name)
     if meaning.kind == "distance":
-        shape = _make_from_distance(raw, max_depth_m, press_depth_m, name, meaning)
+        depth = _read_distances(raw, name, meaning)
+        largest_m = float(depth[np.isfinite(depth)].max(initial=0.0))
     else:
-        shape = _make_from_surface(raw, max_depth_m, press_depth_m, name, meaning, gel)
+        indentation = find_indentation(raw.astype(np.float64), meaning.kind, gel)
+        largest_m = float(indentation.max())
+        if largest_m < TINY_M:
+            kind, sign = meaning.kind, "negative" if meaning.kind == "height" else "positive"
+            raise NoContactError(
+                f"{name} shows no contact: the gel is pressed in by at most {1e3 * largest_m:.1g} mm; press the object "
+                f"on the sensor, or check the unit and the sign ({kind}s are {sign} where the gel is pressed in)"
+            )
+    if largest_m > 100 * max_depth_m:
+        advice = "its unit is probably wrong; give `touch_unit` mm or um"
+        if meaning.states_unit:
+            advice = "check its unit, and max_depth_mm (in mm) of the sensor"
+        raise TouchError(
+            f"{name} has depths up to {largest_m:.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; {advice}"
+        )
+    if meaning.kind == "distance":
+        full_m = press_m = float(_find_deepest_step(depth, max_depth_m) if press_depth_m is None else press_depth_m)
+    else:
+        press_m = largest_m if press_depth_m is None else press_depth_m
+        full_m = max(largest_m, press_m)
+        depth = (full_m - indentation).astype(np.float32)
+    _require_in_range(press_m, max_depth_m, name)
+    depth[_reaches(depth, full_m)] = full_m
+    shape = ContactShape(np.clip(depth, 0, np.float32(full_m)), full_m)
+    shape = shape if press_m == full_m else shape.press_to(press_m)
     if meaning.option is not None and meaning.kind in OPPOSITE:
         _refuse_opposite(shape, press_depth_m, name, meaning.kind, meaning.option)
     return shape
@@ -379,57 +404,15 @@ def blank_unobserved(values: NDArray[Any], geometry: SensorGeometry) -> NDArray[
     return np.where(geometry.observed_mask, values, np.nan) if fits else values
 
 
-def _make_from_distance(
-    values: NDArray[Any], max_depth_m: float, press_depth_m: float | None, name: str, meaning: Meaning
-) -> ContactShape:
+def _read_distances(values: NDArray[Any], name: str, meaning: Meaning) -> Depth:
+    """Return distances from full penetration as float32, metres, and inf where nothing is in contact."""
     with np.errstate(over="ignore"):  # depths that are too large for float32 are beyond the sensor too
         depth = np.where(np.isnan(values), np.inf, values).astype(np.float32)
     if (depth < -1e-6).any():
         height = "" if meaning.option is None else meaning.option.format("height")
         others = f", or {height} if the untouched gel has the value 0" if height else ""
         raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration{others}")
-    finite = depth[np.isfinite(depth)]
-    _require_plausible(float(finite.max(initial=0.0)), max_depth_m, name, meaning.states_unit)
-    if press_depth_m is None:
-        press_depth_m = _find_deepest_step(depth, max_depth_m)
-    _require_in_range(press_depth_m, max_depth_m, name)
-    depth[_reaches(depth, press_depth_m)] = press_depth_m
-    return ContactShape(np.clip(depth, 0, np.float32(press_depth_m)), float(press_depth_m))
-
-
-def _make_from_surface(
-    values: NDArray[Any], max_depth_m: float, press_depth_m: float | None, name: str, meaning: Meaning, gel: Gel
-) -> ContactShape:
-    kind = meaning.kind
-    indentation = find_indentation(values.astype(np.float64), kind, gel)
-    deepest_m = float(indentation.max())
-    if deepest_m < TINY_M:
-        sign = "negative" if kind == "height" else "positive"
-        raise NoContactError(
-            f"{name} shows no contact: the gel is pressed in by at most {1e3 * deepest_m:.1g} mm; press the object on "
-            f"the sensor, or check the unit and the sign ({kind}s are {sign} where the gel is pressed in)"
-        )
-    _require_plausible(deepest_m, max_depth_m, name, meaning.states_unit)
-    press_m = deepest_m if press_depth_m is None else press_depth_m
-    _require_in_range(press_m, max_depth_m, name)
-    full_m = max(deepest_m, press_m)
-    depth = (full_m - indentation).astype(np.float32)
-    depth[_reaches(depth, full_m)] = full_m
-    shape = ContactShape(depth, full_m)
-    return shape if press_m == full_m else shape.press_to(press_m)
-
-
-def _require_plausible(largest_m: float, max_depth_m: float, name: str, states_unit: bool) -> None:
-    """Raise TouchError if the largest value is so large that its unit must be wrong."""
-    if largest_m > 100 * max_depth_m:
-        advice = (
-            "check its unit, and max_depth_mm (in mm) of the sensor"
-            if states_unit
-            else "its unit is probably wrong; give `touch_unit` mm or um"
-        )
-        raise TouchError(
-            f"{name} has depths up to {largest_m:.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; {advice}"
-        )
+    return depth
 
 
 def _require_in_range(press_depth_m: float, max_depth_m: float, name: str) -> None:
