@@ -46,8 +46,8 @@ def make_outline_cloud(shape: ContactShape, geometry: SensorGeometry) -> tuple[P
     """
     observed, contact = geometry.observed_mask, shape.contact & geometry.observed_mask
     xyz = geometry.backproject(np.broadcast_to(geometry.full_penetration_m + shape.press_depth_m, geometry.shape))
-    outwards = np.zeros((*contact.shape, 2))
-    fill_outline(contact, observed, *_list_outline_weights(), outwards)
+    outwards = -_measure_slopes(np.where(observed, contact, 0.5))
+    outwards /= np.maximum(np.linalg.norm(outwards, axis=-1, keepdims=True), TINY)
     points, normals = [np.empty((0, 3))], [np.empty((0, 3))]
     for rows, columns in SIDES:
         borders = contact & _shift(~contact & observed, rows, columns)
@@ -67,6 +67,14 @@ def make_interior_cloud(shape: ContactShape, geometry: SensorGeometry) -> tuple[
     halfway = geometry.full_penetration_m + shape.press_depth_m - slack_m
     points = geometry.backproject(np.broadcast_to(halfway, geometry.shape))[contact]
     return points, np.broadcast_to([0.0, 0.0, -1.0], points.shape), slack_m
+
+
+def _measure_slopes(mask: Points) -> Points:
+    """Return the slopes (H, W, 2), along x and y, of a mask (H, W), smoothed over the pixel steps of its outline."""
+    from scipy.ndimage import gaussian_filter
+
+    reach = {"mode": "nearest", "radius": OUTLINE_REACH_PX}
+    return np.stack([gaussian_filter(mask, OUTLINE_PX, order, **reach) for order in ((0, 1), (1, 0))], axis=-1)
 
 
 @cache
@@ -133,18 +141,6 @@ def make_cloud(surface, drop, rays, pitch, walls, weights):
                     normals[out, 0], normals[out, 1], normals[out, 2] = outwards[0], outwards[1], 0.0
                     out += 1
     return points, normals
-
-
-@njit
-def fill_outline(contact, observed, smooth, slope, directions):
-    """Fill `directions` (H, W, 2) with the direction of `find_outwards` at each pixel that is in contact.
-
-    Smoothing removes the pixel steps of an oblique edge.
-    """
-    for row in range(contact.shape[0]):
-        for column in range(contact.shape[1]):
-            if contact[row, column]:
-                find_outwards(row, column, contact, observed, smooth, slope, directions[row, column])
 
 
 @njit

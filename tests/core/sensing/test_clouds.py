@@ -118,10 +118,13 @@ def test_an_outline_faces_down_the_slope_of_the_smoothed_mask(camera):
     shape = ContactShape(np.where(contact, np.float32(0), np.float32(0.002)), 0.002)
     slopes = [gaussian_filter(1.0 * contact, OUTLINE_PX, order, radius=OUTLINE_REACH_PX) for order in ((0, 1), (1, 0))]
     borders = [contact & ~np.roll(contact, (-down, -right), (0, 1)) for down, right in SIDES]
-    _, normals = make_outline_cloud(shape, camera)
     outwards = -np.concatenate([np.stack(slopes, axis=-1)[border] for border in borders])
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    _, normals = make_outline_cloud(shape, camera)
     np.testing.assert_allclose(normals[:, :2] * np.sqrt(2), outwards, atol=1e-12)
+    _, normals = walls_of(shape, camera)
+    levels = len(normals) // len(outwards)
+    np.testing.assert_allclose(normals[:, :2], np.repeat(outwards, levels, axis=0), atol=1e-12)
 
 
 def test_a_line_one_pixel_wide_has_walls_on_both_sides(camera):

@@ -71,13 +71,6 @@ def test_all_kinds_of_one_map_give_the_same_touch(geometry: SensorGeometry, unit
         np.testing.assert_array_equal(touch.contact_shape.contact, depth_m < PRESS_M * (1 - 1e-6))
 
 
-def test_the_whole_surface_of_an_elastic_gel_is_kept() -> None:
-    touch = Touch.from_depth(PRESS_M - press_ball(ELASTIC), kind="indentation", sensor=ELASTIC)
-    shown, touching = touch.contact_shape.contact.sum(), touch.touching_shape.contact.sum()
-    assert shown > 1.5 * touching > 0
-    assert touch.geometry.gel == ELASTIC.gel
-
-
 def test_a_sensor_model_or_its_geometry_may_be_given() -> None:
     sensor = Digit()
     maps = [
