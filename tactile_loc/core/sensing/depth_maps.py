@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import TouchError, advise_choice
 from tactile_loc.core.sensing.gel import Gel
+
+logger = logging.getLogger(__name__)
 
 DepthKind = Literal["distance", "indentation", "height"]
 DepthUnit = Literal["m", "mm", "um"]
@@ -21,6 +24,7 @@ OPPOSITE: dict[DepthKind, DepthKind] = {"distance": "indentation", "indentation"
 
 LEVEL = 0.05  # depths within this share of the range count as equal to the least depth
 MOST_DEEPEST, MOST_BORDER = 0.3, 0.5  # shares of the image and of its border that a real touch presses in deepest
+MOST_DIMPLE = 0.5  # depth, share of a given press depth, of a dimple in a flat face that fills the image
 TOP, FLAT_TOP = 0.01, 0.2  # the largest depths, share of the range; least share of such depths in a hole's lower half
 
 
@@ -42,25 +46,67 @@ def find_indentation(values: NDArray[Any], kind: DepthKind, gel: Gel) -> NDArray
     return np.where(indentation > noise, indentation, 0.0)
 
 
-def is_deepest_around(depth_m: NDArray[np.float32]) -> bool:
-    """Return whether the deepest level covers much of contact depths (H, W), metres, and most of their border.
+def require_numbers(values: NDArray[Any], name: str) -> NDArray[Any]:
+    """Return an array if it is (H, W) numbers. Raises TouchError otherwise."""
+    if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiu":
+        raise TouchError(
+            f"{name} is an array of shape {values.shape} and type {values.dtype}; a contact shape is (H, W) numbers, "
+            "depth from full penetration"
+        )
+    return values
 
-    This is so in maps with the opposite meaning, whose untouched gel has this level. It is also so if a flat face
-    fills the image except for a hole.
+
+def require_in_range(press_depth_m: float, max_depth_m: float, name: str) -> None:
+    """Raise TouchError if a press depth is beyond the sensor's range."""
+    if not 0 < press_depth_m <= max_depth_m * (1 + 1e-6):
+        raise TouchError(
+            f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm, but the sensor's range is 0 to "
+            f"{max_depth_m * 1e3:.3g} mm; choose the sensor that took it"
+        )
+
+
+def refuse_opposite(
+    depth_m: NDArray[np.float32], press_depth_m: float | None, name: str, kind: DepthKind, option: str
+) -> None:
+    """Raise TouchError if contact depths (H, W), metres, have the opposite meaning; log a warning if they may have it.
+
+    In a map with the opposite meaning, the untouched gel has the deepest level, which covers much of the image and most
+    of its border. It is also so if a flat face fills the image except for a hole. Then many pixels in the upper half
+    have the largest depth, but also those of a flat tip in a map with the opposite meaning. If the largest depth is
+    much less than the given press depth, the shape is in contact everywhere, so it is right.
     """
-    deepest = depth_m <= depth_m.min() + LEVEL * np.ptp(depth_m)
+    range_m, highest_m = np.ptp(depth_m), depth_m.max()
+    if range_m == 0 or (press_depth_m is not None and highest_m < MOST_DIMPLE * press_depth_m):
+        return
+    deepest = depth_m <= depth_m.min() + LEVEL * range_m
     border = np.concatenate([deepest[0], deepest[-1], deepest[1:-1, 0], deepest[1:-1, -1]])
-    return bool(np.ptp(depth_m) > 0 and deepest.mean() > MOST_DEEPEST and border.mean() > MOST_BORDER)
+    if deepest.mean() <= MOST_DEEPEST or border.mean() <= MOST_BORDER:
+        return
+    other = OPPOSITE[kind]
+    meanings = {"distance": "distances from full penetration", "indentation": "indentations (0 = no contact)"}
+    finding = f"{name} is deepest around the border of the image, so its values may be {meanings[other]}"
+    top, upper = (np.count_nonzero(highest_m - depth_m <= share * range_m) for share in (TOP, 0.5))
+    if top >= FLAT_TOP * upper:
+        logger.warning("%s; if so, use %s", finding, option.format(other))
+        return
+    raise TouchError(
+        f"{finding}; if so, use {option.format(other)}, and if the object does touch around the border, give the "
+        "press depth"
+    )
 
 
-def has_flat_top(depth_m: NDArray[np.float32]) -> bool:
-    """Return whether many of the pixels in the upper half of (H, W) contact depths have the largest depth.
+def reaches(depth_m: NDArray[np.float32], limit_m: float) -> NDArray[np.bool_]:
+    """Return which depths reach a limit, with a tolerance for rounding in unit conversions."""
+    return depth_m >= np.float32(limit_m) * (1 - 1e-6)
 
-    This is so if they show the bottom of a hole, and if they show a flat tip in a map with the opposite meaning.
-    """
-    below_m = depth_m.max() - depth_m
-    top, upper = (np.count_nonzero(below_m <= share * np.ptp(depth_m)) for share in (TOP, 0.5))
-    return bool(top >= FLAT_TOP * upper)
+
+def find_deepest_step(depth_m: NDArray[np.float32], max_depth_m: float) -> float:
+    """Return the press depth, metres, of contact depths (H, W): see `contact_shape_from_array`."""
+    contact = depth_m[~reaches(depth_m, max_depth_m)]
+    deepest = float(contact.max(initial=0.0))
+    if contact.size == depth_m.size and np.ptp(depth_m) > 0.1 * max_depth_m:
+        return deepest
+    return min(max_depth_m, max(1.0001 * deepest, 0.25 * max_depth_m))
 
 
 ASSUMED_PRESS, ASSUMED_STD = 0.6, 0.2  # an unknown press and its standard deviation, as shares of the maximal depth

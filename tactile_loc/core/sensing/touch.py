@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, Protocol, Self
@@ -21,18 +20,18 @@ from tactile_loc.core.sensing.depth_maps import (
     DepthUnit,
     assume_press,
     find_contact,
+    find_deepest_step,
     find_indentation,
-    has_flat_top,
-    is_deepest_around,
+    reaches,
+    refuse_opposite,
+    require_in_range,
     require_kind,
+    require_numbers,
 )
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 
-logger = logging.getLogger(__name__)
-
 FROM_DEPTH = 'Touch.from_depth(..., kind="{}")'  # how to state the kind of an array that is read without one
-MOST_DIMPLE = 0.5  # depth, share of a given press depth, of a dimple in a flat face that fills the image
 TINY_M = 2e-6  # smallest plausible range of a touch's depths
 
 
@@ -233,7 +232,7 @@ class Touch:
             )
         contact = find_contact(np.asarray(mask), name)
         press_m, std_m = assume_press(geometry.max_depth_m, press_depth_m, press_std_m)
-        _require_in_range(press_m, geometry.max_depth_m, name)
+        require_in_range(press_m, geometry.max_depth_m, name)
         depth_m = np.where(contact, np.float32(0), np.float32(press_m))
         return cls(ContactShape(depth_m, press_m, None, std_m, False), geometry, name, **poses)
 
@@ -364,28 +363,18 @@ def contact_shape_from_array(
             f"{name} has depths up to {largest_m:.3g} m, far beyond the sensor's {max_depth_m * 1e3:.3g} mm; {advice}"
         )
     if meaning.kind == "distance":
-        full_m = press_m = float(_find_deepest_step(depth, max_depth_m) if press_depth_m is None else press_depth_m)
+        full_m = press_m = float(find_deepest_step(depth, max_depth_m) if press_depth_m is None else press_depth_m)
     else:
         press_m = largest_m if press_depth_m is None else press_depth_m
         full_m = max(largest_m, press_m)
         depth = (full_m - indentation).astype(np.float32)
-    _require_in_range(press_m, max_depth_m, name)
-    depth[_reaches(depth, full_m)] = full_m
+    require_in_range(press_m, max_depth_m, name)
+    depth[reaches(depth, full_m)] = full_m
     shape = ContactShape(np.clip(depth, 0, np.float32(full_m)), full_m)
     shape = shape if press_m == full_m else shape.press_to(press_m)
     if meaning.option is not None and meaning.kind in OPPOSITE:
-        _refuse_opposite(shape, press_depth_m, name, meaning.kind, meaning.option)
+        refuse_opposite(shape.depth_m, press_depth_m, name, meaning.kind, meaning.option)
     return shape
-
-
-def require_numbers(values: NDArray[Any], name: str) -> NDArray[Any]:
-    """Return an array if it is (H, W) numbers. Raises TouchError otherwise."""
-    if values.ndim != 2 or values.size == 0 or values.dtype.kind not in "fiu":
-        raise TouchError(
-            f"{name} is an array of shape {values.shape} and type {values.dtype}; a contact shape is (H, W) numbers, "
-            "depth from full penetration"
-        )
-    return values
 
 
 def require_fit(shape: tuple[int, ...], geometry: SensorGeometry, name: str) -> None:
@@ -413,46 +402,3 @@ def _read_distances(values: NDArray[Any], name: str, meaning: Meaning) -> Depth:
         others = f", or {height} if the untouched gel has the value 0" if height else ""
         raise TouchError(f"{name} has negative depths (least {depth.min():.3g} m); give 0 for full penetration{others}")
     return depth
-
-
-def _require_in_range(press_depth_m: float, max_depth_m: float, name: str) -> None:
-    """Raise TouchError if a press depth is beyond the sensor's range."""
-    if not 0 < press_depth_m <= max_depth_m * (1 + 1e-6):
-        raise TouchError(
-            f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm, but the sensor's range is 0 to "
-            f"{max_depth_m * 1e3:.3g} mm; choose the sensor that took it"
-        )
-
-
-def _refuse_opposite(shape: ContactShape, press_depth_m: float | None, name: str, kind: DepthKind, option: str) -> None:
-    """Raise TouchError if the depths of a shape have the opposite meaning; log a warning if they may have it.
-
-    If the largest depth is much less than the given press depth, the shape is in contact everywhere, so it is right.
-    """
-    if press_depth_m is not None and shape.depth_m.max() < MOST_DIMPLE * press_depth_m:
-        return
-    if not is_deepest_around(shape.depth_m):
-        return
-    other = OPPOSITE[kind]
-    meanings = {"distance": "distances from full penetration", "indentation": "indentations (0 = no contact)"}
-    finding = f"{name} is deepest around the border of the image, so its values may be {meanings[other]}"
-    if has_flat_top(shape.depth_m):
-        logger.warning("%s; if so, use %s", finding, option.format(other))
-        return
-    raise TouchError(
-        f"{finding}; if so, use {option.format(other)}, and if the object does touch around the border, give the "
-        "press depth"
-    )
-
-
-def _reaches(depth_m: Depth, limit_m: float) -> NDArray[np.bool_]:
-    """Return which depths reach a limit, with a tolerance for rounding in unit conversions."""
-    return depth_m >= np.float32(limit_m) * (1 - 1e-6)
-
-
-def _find_deepest_step(depth_m: Depth, max_depth_m: float) -> float:
-    contact = depth_m[~_reaches(depth_m, max_depth_m)]
-    deepest = float(contact.max(initial=0.0))
-    if contact.size == depth_m.size and np.ptp(depth_m) > 0.1 * max_depth_m:
-        return deepest
-    return min(max_depth_m, max(1.0001 * deepest, 0.25 * max_depth_m))
