@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from tactile_loc.evaluation.sweep.sweep import run_sweep as run_sweep
     from tactile_loc.evaluation.table import ExampleTable as ExampleTable
     from tactile_loc.evaluation.text_tables import format_markdown as format_markdown
-    from tactile_loc.evaluation.text_tables import read_parquet as read_parquet
     from tactile_loc.evaluation.text_tables import write_parquet as write_parquet
     from tactile_loc.evaluation.text_tables import write_texts as write_texts
     from tactile_loc.evaluation.workers import LocalWorkers as LocalWorkers

@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError, ResultError
+from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
 from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.core.runtime.limits import list_values, require_table
 from tactile_loc.io.streams.records import read_versions
 from tactile_loc.store.files import write_atomically, write_text
 
@@ -106,28 +105,6 @@ def write_parquet(path: Path, rows: Sequence[Row]) -> Path:
         return write_atomically(path, write)
     except pyarrow.ArrowException as error:
         raise OutputError(f"{path} cannot be written ({error})") from error
-
-
-def read_parquet(path: Path, renew: str) -> list[Row]:
-    """Return the rows of a file of `write_parquet`, without missing values.
-
-    Raises MissingLibraryError without pyarrow, and ResultError if the file cannot be read; `renew` says what to do.
-    """
-    require_parquet()
-    from pyarrow import parquet
-
-    try:
-        table = parquet.read_table(path, read_dictionary=require_table(parquet.read_metadata(path)))
-    except (OSError, ValueError) as error:
-        raise ResultError(f"{path} cannot be read ({error}); {renew}") from error
-    return [
-        {
-            name: value
-            for name, value in zip(table.column_names, row, strict=True)
-            if value is not None and value == value
-        }
-        for row in zip(*map(list_values, table.columns), strict=True)
-    ]
 
 
 def require_parquet(what: str = "a table in Parquet", extra: str = "sweep") -> None:

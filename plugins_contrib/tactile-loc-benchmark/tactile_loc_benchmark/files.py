@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tactile_loc import BopScene, format_markdown, read_parquet, write_bop, write_parquet, write_texts
+from pyarrow import parquet
+from tactile_loc import BopScene, format_markdown, write_bop, write_parquet, write_texts
 from tactile_loc.plugin import ConfigError
 
 from tactile_loc_benchmark.job import Row
@@ -29,6 +30,7 @@ TABLE_NOTE = (
     "share within 0.1, 0.2, ... 5 mm. MSSD: average recall of BOP. Certain: examples that the method calls certain."
 )
 NAME, ROWS = "benchmark", "rows.parquet"
+MOST_BYTES = 2**28  # of a table in memory
 POSES = ("T_base_object", "true_T_base_object", "scores")  # values of a row that are not in the table of rows
 
 
@@ -64,7 +66,7 @@ def read_benchmark(folder: Path) -> tuple[Results, list[Mapping[str, Any]]]:
     """
     path = folder / f"{NAME}.json"
     document = read_document(path)
-    rows = read_parquet(folder / ROWS, "run the benchmark again")
+    rows = read_rows(folder / ROWS)
     try:
         suite = Suite.model_validate(document["plan"])
         sources = [UsedSource(**_read_used(document, "sources", one)) for one in suite.source]
@@ -73,6 +75,38 @@ def read_benchmark(folder: Path) -> tuple[Results, list[Mapping[str, Any]]]:
         return Results(suite, sources, methods, rows, document["failed"], *about), document["pictures"]
     except (LookupError, TypeError, ValueError) as error:
         raise ConfigError(f"{path} is damaged or incomplete ({error!r}); run the benchmark again") from error
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Return the rows of a file of `write_parquet`, without missing values.
+
+    Raises ConfigError if the file cannot be read, or takes too much memory.
+    """
+    try:
+        about = parquet.read_metadata(path)
+        packed = sum(about.row_group(n).total_byte_size for n in range(about.num_row_groups))
+        if max(packed, 8 * about.num_rows * about.num_columns) > MOST_BYTES:
+            raise ValueError(f"it takes more than {MOST_BYTES / 2**20:.0f} MiB of memory")
+        columns = map(about.schema.column, range(about.num_columns))
+        # a long text may stand in many rows, so texts are read as dictionaries
+        texts = [column.path for column in columns if column.physical_type == "BYTE_ARRAY"]
+        table = parquet.read_table(path, read_dictionary=texts)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} cannot be read ({error}); run the benchmark again") from error
+    rows = (zip(table.column_names, row, strict=True) for row in zip(*map(_list_values, table.columns), strict=True))
+    return [{name: value for name, value in row if value is not None and value == value} for row in rows]
+
+
+def _list_values(column: Any) -> list[Any]:
+    """Return the values of a column (pyarrow). Equal texts are one object, and take memory once."""
+    values: list[Any] = []
+    for chunk in column.chunks:
+        if hasattr(chunk, "dictionary"):
+            texts = chunk.dictionary.to_pylist()
+            values += [None if k is None else texts[k] for k in chunk.indices.to_pylist()]
+        else:
+            values += chunk.to_pylist()
+    return values
 
 
 def _read_used(document: Mapping[str, Any], kind: str, entry: SuiteEntry) -> dict[str, Any]:

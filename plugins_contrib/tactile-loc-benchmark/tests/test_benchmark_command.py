@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 from cli_helpers import HANGS_S, assert_refused, command, start_process, succeed
 from message_helpers import missing
-from tactile_loc.evaluation.text_tables import read_parquet
+
+from tactile_loc_benchmark.files import read_rows
 
 SUITE = """\
 name = "tiny"
@@ -122,7 +123,7 @@ def start(tmp_path: Path, out: str) -> subprocess.Popen[str]:
 
 
 def read_table(folder: Path) -> list[dict[str, Any]]:
-    rows = read_parquet(folder / "rows.parquet", "")
+    rows = read_rows(folder / "rows.parquet")
     return [{name: value for name, value in row.items() if name not in ("seconds", "prepared_s")} for row in rows]
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 
 import pytest
-from tactile_loc.evaluation.text_tables import read_parquet
 from tactile_loc.plugin import ConfigError
 
-from tactile_loc_benchmark.files import HEAD, tabulate, write_benchmark
+from tactile_loc_benchmark.files import HEAD, read_rows, tabulate, write_benchmark
 from tactile_loc_benchmark.leaderboard import read_standings
 from tactile_loc_benchmark.prepare import hash_protocol
 from tactile_loc_benchmark.suite import create
@@ -39,7 +38,7 @@ def test_the_markdown_has_a_row_for_what_was_left_out_and_the_parquet_file_all_r
         assert problem in line
     assert "public domain" in text
     assert "Anyone, anywhere" in text
-    rows = read_parquet(written / "rows.parquet", "")
+    rows = read_rows(written / "rows.parquet")
     assert len(rows) == len(finished.results.rows)
     assert rows[0]["surface_mm"] == finished.results.rows[0]["surface_mm"]
 

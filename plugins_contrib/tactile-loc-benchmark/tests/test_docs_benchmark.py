@@ -16,13 +16,14 @@ import pytest
 from bench_fakes import offer_fakes
 from bench_parts import SENSOR, Archive
 from message_helpers import missing
-from tactile_loc import RobotTouches, read_parquet
+from tactile_loc import RobotTouches
 from tactile_loc.plugin import SensorGeometry, invert, make_contact_cloud, registry, transform_points
 from tactile_loc.testing.problems import ReferenceRenderer
 from tactile_loc_cli.main import app
 from typer.main import get_command
 from typer.testing import CliRunner
 
+from tactile_loc_benchmark.files import read_rows
 from tactile_loc_benchmark.interfaces import LocatingProblem
 from tactile_loc_benchmark.job import Row
 from tactile_loc_benchmark.leaderboard import read_standings
@@ -152,7 +153,7 @@ def test_the_method_of_the_page_appears_in_the_table(lowest_point):
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "lowest-point" in done.output
-    rows = read_parquet(Path("benchmark/rows.parquet"), "")
+    rows = read_rows(Path("benchmark/rows.parquet"))
     assert {(row["method"], row["problem"]) for row in rows} == {("lowest-point", "")}
 
 

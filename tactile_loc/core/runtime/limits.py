@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import IO, Any
+from typing import IO
 
 MOST_PIXELS, MOST_SIDE_PX = 2**25, 2**14  # largest image and image side; no camera behind a gel takes larger images
 MOST_FILE_BYTES = 2**28  # file of a picture
@@ -37,26 +37,3 @@ def require_pixels(width: int, height: int) -> None:
     if width * height > MOST_PIXELS or max(width, height) > MOST_SIDE_PX:
         most = f"{MOST_PIXELS / 1e6:.0f} million pixels, {MOST_SIDE_PX} along a side"
         raise TooLargeError(f"it has {width} x {height} pixels; the limit is {most}")
-
-
-def require_table(metadata: Any) -> list[str]:
-    """Raise TooLargeError if a table is too large, from the metadata of a Parquet file (pyarrow).
-
-    Returns the columns of texts. They must be read as dictionaries, because one long text may stand in many rows.
-    """
-    packed = sum(metadata.row_group(n).total_byte_size for n in range(metadata.num_row_groups))
-    require_size(max(packed, 8 * metadata.num_rows * metadata.num_columns))
-    columns = (metadata.schema.column(n) for n in range(metadata.num_columns))
-    return [column.path for column in columns if column.physical_type == "BYTE_ARRAY"]
-
-
-def list_values(column: Any) -> list[Any]:
-    """Return the values of a column (pyarrow). Equal texts are one object, and take memory once."""
-    values: list[Any] = []
-    for chunk in column.chunks:
-        if hasattr(chunk, "dictionary"):
-            texts = chunk.dictionary.to_pylist()
-            values += [None if k is None else texts[k] for k in chunk.indices.to_pylist()]
-        else:
-            values += chunk.to_pylist()
-    return values

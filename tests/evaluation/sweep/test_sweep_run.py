@@ -21,14 +21,13 @@ from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, read_sweep, run_sweep
-from tactile_loc.evaluation.text_tables import read_parquet
 from tactile_loc.evaluation.workers import ClusterError, DaskWorkers, LocalWorkers
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.reports.sweep_figures import write_sweep
 from tactile_loc.store.store import StageStore
 
-distributed = pytest.importorskip("distributed")
+distributed, parquet = map(pytest.importorskip, ("distributed", "pyarrow.parquet"))
 
 
 class Watched(Progress):
@@ -174,7 +173,7 @@ def test_a_sweep_writes_its_tables_and_figures(swept, folder):
         assert [(row["object"], row["key"]) for row in csv.DictReader(file)] == [
             (row["object"], row["key"]) for row in rows
         ]
-    assert read_parquet(written[3], "") == [{k: v for k, v in row.items() if v is not None} for row in rows]
+    assert parquet.read_table(written[3]).to_pylist() == rows
     record: dict[str, Any] = json.loads(written[0].read_text())
     assert (record["combinations"], record["failed"], record["built"]) == (4, 0, swept.built)
     assert record["plan"]["refiner"][1]["name"] == "filterreg"
