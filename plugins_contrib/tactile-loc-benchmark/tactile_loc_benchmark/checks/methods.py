@@ -38,25 +38,13 @@ COUNTS = (1, len(TILTS))
 
 
 @check("method")
-def check_poses(method: Method) -> None:
-    """`locate` returns rigid poses for one touch and for several."""
+def check_answers(method: Method) -> None:
+    """`locate` returns rigid poses, the best first, and possible probabilities, for one touch and for several."""
     for answer in _list_answers(method):
         require(isinstance(answer, ScoredPoses), f"locate must return ScoredPoses, not {type(answer).__name__}")
         require(is_rigid(np.asarray(answer.T_base_object)), "every pose must be a rigid transform (4, 4)")
-
-
-@check("method")
-def check_scores(method: Method) -> None:
-    """The best pose comes first, and the scores do not increase after it."""
-    for answer in _list_answers(method):
         falling = (np.diff(answer.scores) <= 0).all()
         require(falling, f"poses must be in the order of their scores, the best first, not {answer.scores.tolist()}")
-
-
-@check("method")
-def check_probabilities(method: Method) -> None:
-    """Probabilities, if any, are from 0 to 1, and their sum is at most 1."""
-    for answer in _list_answers(method):
         p = np.zeros(1) if answer.probabilities is None else np.asarray(answer.probabilities)
         require(p.min() >= 0, f"probabilities must not be negative, but one is {p.min():.3g}")
         require(p.sum() <= 1 + 1e-6, f"the sum of all probabilities must be at most 1, not {p.sum():.3g}")

@@ -51,17 +51,12 @@ class PreparedSensor:
 
 @check("touch-source")
 def check_provenance(source: TouchSource) -> None:
-    """The licence is stated, and `libraries` are the names of distributions."""
+    """A source is simulated or recorded. Its licence is stated, and `libraries` are the names of distributions."""
+    known = isinstance(source, SimulatedSource | RecordedSource)
+    require(known, "a touch source must derive from SimulatedSource or RecordedSource: a benchmark uses no others")
     require(isinstance(source.licence, str) and source.licence, "licence must be a text, such as 'MIT'")
     named = isinstance(source.libraries, tuple) and all(isinstance(name, str) and name for name in source.libraries)
     require(named, f"libraries must be a tuple of distributions' names, not {source.libraries!r}")
-
-
-@check("touch-source")
-def check_kind(source: TouchSource) -> None:
-    """The source derives from SimulatedSource or RecordedSource."""
-    known = isinstance(source, SimulatedSource | RecordedSource)
-    require(known, "a touch source must derive from SimulatedSource or RecordedSource: a benchmark uses no others")
 
 
 @check("touch-source")
@@ -72,7 +67,7 @@ def check_sensor_table(source: TouchSource) -> None:
 
 @check("touch-source")
 def check_press(source: TouchSource) -> None:
-    """`press` returns an image that the sensor reads, or a contact shape of the sensor's image size."""
+    """`press` returns an image that the sensor reads, or a contact shape of its image size, and the same again."""
     if not isinstance(source, SimulatedSource):
         return
     seen = press_ball(source, DEEP)
@@ -83,15 +78,8 @@ def check_press(source: TouchSource) -> None:
     else:
         _require_image(seen, "press")
     read_press(source, seen)
-
-
-@check("touch-source")
-def check_press_is_repeatable(source: TouchSource) -> None:
-    """The same scene, pose and generator give the same touch."""
-    if not isinstance(source, SimulatedSource):
-        return
-    first, again = (_list_pixels(press_ball(source, DEEP)) for _ in range(2))
-    require_equal(first, again, "the same generator must give the same touch")
+    first, again = (one.depth_m if isinstance(one, ContactShape) else one for one in (seen, press_ball(source, DEEP)))
+    require_equal(first, again, "the same scene, pose and generator must give the same touch")
 
 
 @check("touch-source")
@@ -120,21 +108,14 @@ def check_deeper_press_shows_more(source: TouchSource) -> None:
 
 
 @check("touch-source")
-def check_objects(source: TouchSource) -> None:
-    """`find_objects` returns objects by name."""
+def check_recorded_touches(source: TouchSource) -> None:
+    """Each recorded touch has an image and a rigid pose, and the sensor reads at least one touch of each object."""
     if not isinstance(source, RecordedSource):
         return
     objects = source.find_objects()
     fit = objects and all(isinstance(name, str) and isinstance(obj, ObjectModel) for name, obj in objects.items())
     require(fit, "find_objects must return at least one ObjectModel by its name")
-
-
-@check("touch-source")
-def check_recorded_touches(source: TouchSource) -> None:
-    """Each recorded touch has an image and a rigid pose, and the sensor reads at least one touch of each object."""
-    if not isinstance(source, RecordedSource):
-        return
-    for name in source.find_objects():
+    for name in objects:
         touches = list(source.read_touches(name))
         require(touches, f"read_touches must return touches of {name}")
         refused = []
@@ -204,10 +185,6 @@ def read_press(source: TouchSource, seen: NDArray[np.uint8] | ContactShape) -> C
 def measure_area(shape: ContactShape) -> int:
     """Return the number of pixels that are displaced by more than half of the press."""
     return int((shape.depth_m < shape.press_depth_m - 0.5 * shape.deepest_m).sum())
-
-
-def _list_pixels(seen: Any) -> NDArray[Any]:
-    return seen.depth_m if isinstance(seen, ContactShape) else np.asarray(seen)
 
 
 def _require_image(image: Any, where: str) -> None:
