@@ -1,4 +1,4 @@
-"""What is evaluated: the command's own options, and the objects and encoders, each with its settings."""
+"""What is evaluated (the command's options, objects and encoders), and what an evaluation writes and shows."""
 
 from __future__ import annotations
 

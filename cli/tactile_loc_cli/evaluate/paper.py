@@ -113,20 +113,14 @@ def _report(plan: _Plan, runs: Sequence[EvaluatedRun]) -> dict[str, Any]:
 def _evaluate_fusion(jobs: Sequence[Job], contacts: Sequence[int], plan: _Plan) -> dict[str, Any]:
     """Evaluate each object with each encoder and each number of contacts; write, show and return the results."""
     from tactile_loc.evaluation.fusion import evaluate_fusion
-    from tactile_loc.evaluation.table import EvaluatedRun
+    from tactile_loc.evaluation.paper_tables import collect_contacts
+    from tactile_loc.evaluation.table import EvaluatedRun, join_runs
+    from tactile_loc.reports.evaluation_figures import draw_contacts
 
     runs = []
     for config, obj in jobs:
         localizer = options.open_localizer(config, plan.store, obj)
         runs.append(EvaluatedRun(evaluate_fusion(localizer, contacts, plan.count, plan.touches), config.resolve()))
-    return _report_fusion(runs, plan)
-
-
-def _report_fusion(runs: Sequence[EvaluatedRun], plan: _Plan) -> dict[str, Any]:
-    from tactile_loc.evaluation.paper_tables import collect_contacts
-    from tactile_loc.evaluation.table import join_runs
-    from tactile_loc.reports.evaluation_figures import draw_contacts
-
     heading = (
         f"Localisation from several contacts: {plan.describe('example')} for each object, seed {plan.touches.seed}"
     )
