@@ -10,7 +10,6 @@ import trimesh
 from scipy.special import ndtr
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.ambiguity import (
@@ -112,9 +111,3 @@ def test_a_touch_without_distant_poses_is_not_ambiguous(plates):
 
 def test_clean_touches_are_judged_against_mild_noise():
     assert [choose_judging_noise(name) for name in ("none", "mild", "strong")] == ["mild", "mild", "strong"]
-
-
-def test_a_touch_without_a_true_pose_is_refused(plates):
-    touch = dataclasses.replace(touch_at(plates["alike"], 0.0), T_sensor_object=None)
-    with pytest.raises(TouchError, match=r"\bt\b.*simulate"):
-        ratios(plates["alike"], [touch])

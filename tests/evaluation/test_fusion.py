@@ -101,14 +101,6 @@ def test_more_contacts_reduce_the_error_and_kinematic_errors_stay_large(pipe):
     assert shares(found, "kinematic", 1).mean() == pytest.approx(1, abs=0.4)  # one contact excludes no pose
 
 
-def test_certain_touches_find_the_truth(monkeypatch, store):
-    monkeypatch.setattr(Localizer, "posteriors", lambda self, touches: [certain(self, touch) for touch in touches])
-    localizer = fresh(store, temperature=0.1)  # no other test uses this seed, since results are stored
-    found = evaluate_fusion(localizer, (1, 3), 4, SOURCE)
-    assert (shares(found, "best-1", 1) < 0.2).all()
-    assert errors_m(found, "best-1", 3).max() <= 2 * localizer.model.grid.spacing_m
-
-
 def test_later_touches_compensate_an_uninformative_first_touch(monkeypatch, store):
     localizer = fresh(store, temperature=0.2)
 

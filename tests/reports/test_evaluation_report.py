@@ -73,7 +73,7 @@ def test_the_page_shows_the_contacts_of_the_file(contacts_folder):
     assert ["pin", "pixel", "0", "0", "4"] in page.rows  # without a common pose
 
 
-@pytest.mark.parametrize("fixture", ["evaluation_folder", "contacts_folder"])
+@pytest.mark.parametrize("fixture", ["evaluation_folder", "contacts_folder", "recall_folder"])
 def test_a_wrong_file_gives_a_one_sentence_error(fixture, request, tmp_path):
     folder = shutil.copytree(request.getfixturevalue(fixture), tmp_path / "copy")
     (path,) = (path for path in folder.glob("*.json"))
@@ -81,7 +81,7 @@ def test_a_wrong_file_gives_a_one_sentence_error(fixture, request, tmp_path):
     for changed, says in (
         ({"schema_version": 9}, "9"),
         *(({"runs": runs}, "run") for runs in ([], None)),
-        ({"protocol": {}}, "'(touches|examples)'"),
+        ({"protocol": {}}, "'(touches|examples|noises)'"),
         ({"runs": [{"object": "a"}]}, "encoder"),
     ):
         path.write_text(json.dumps({**document, **changed}))

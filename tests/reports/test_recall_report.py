@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 from report_helpers import Elements, html_of, make_recall_runs, page_in
 
-from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.evaluation.recall import tables
 from tactile_loc.evaluation.summary import measure_recall
 from tactile_loc.evaluation.table import ExampleTable, join_runs
-from tactile_loc.reports import find_source
-from tactile_loc.reports.report import make_page
 
 
 @pytest.fixture
@@ -50,11 +46,3 @@ def test_scripts_draw_the_errors_of_every_example_in_mm(folder, table):
 
 def test_examples_without_a_pose_are_listed_with_their_reason(folder):
     assert ["the file is damaged", "8"] in Elements(html_of(folder)).rows
-
-
-def test_another_version_is_refused(folder, tmp_path):
-    document = json.loads((folder / "recall.json").read_text())
-    document["schema_version"] += 1
-    (tmp_path / "recall.json").write_text(json.dumps(document))
-    with pytest.raises(ResultError):
-        make_page(find_source(tmp_path))

@@ -100,8 +100,6 @@ def test_the_labels_of_a_suite_are_listed_without_running_it(cli, tmp_path):
     ("words", "mentioned"),
     [
         (["--suite", "quik"], ("'quik'", "'quick'")),
-        (["--suite", "none.toml"], ("none.toml",)),
-        (["--method", "gues"], ("'gues'", "'guess'")),
         (["--source", "photo,scetch"], ("'scetch'", "sketch")),
         (["--source", "photos"], ("pip install touch-maker",)),
         (["--examples", "0"], ("--examples", "0")),
