@@ -1,4 +1,4 @@
-"""What is evaluated (the command's options, objects and encoders), and what an evaluation writes and shows."""
+"""The objects, encoders and options of an evaluation, and the files and tables that it writes and shows."""
 
 from __future__ import annotations
 
