@@ -210,14 +210,14 @@ class ImageFolder(FrameSource):
         """Yield the files as frames. Raises SourceError when the folder is missing or vanishes."""
         while True:
             waiting = self._list_waiting()
-            yield from self._take_each(waiting) if self.every else self._take_newest(waiting)
+            yield from self._take(waiting, self.every)
             if self.every and not self._growing:
                 return
             time.sleep(POLL_S)
 
     def take_newest(self) -> SourceFrame | None:
         """Return the newest file that was not yielded yet, or None. Raises SourceError when the folder is missing."""
-        return next(self._take_newest(self._list_waiting()), None)
+        return next(self._take(self._list_waiting(), every=False), None)
 
     def _list_waiting(self) -> list[tuple[int, Path]]:
         """Return the files that were not yielded yet, oldest first, each with its time of writing, ns."""
@@ -230,26 +230,22 @@ class ImageFolder(FrameSource):
         self._growing = {path.name: self._growing[path.name] for _, path in waiting if path.name in self._growing}
         return waiting
 
-    def _take_each(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
-        for when, path in waiting:
-            if (frame := self._read_frame(path)) is not None:
-                yield self._count(frame, when, path)
-
-    def _take_newest(self, waiting: list[tuple[int, Path]]) -> Iterator[SourceFrame]:
-        """Yield the newest readable file, and drop the older files."""
-        for place in reversed(range(len(waiting))):
+    def _take(self, waiting: list[tuple[int, Path]], every: bool) -> Iterator[SourceFrame]:
+        """Yield each readable file, or only the newest, and drop the older files."""
+        places = range(len(waiting)) if every else reversed(range(len(waiting)))
+        for place in places:
             when, path = waiting[place]
-            if (frame := self._read_frame(path)) is not None:
+            if (frame := self._read_frame(path)) is None:
+                continue
+            if not every:
                 self._seen |= {older.name: ns for ns, older in waiting[:place]}
                 self.dropped += place
                 self._number += place
-                yield self._count(frame, when, path)
+            self._seen[path.name] = when
+            self._number += 1
+            yield replace(frame, number=self._number - 1)
+            if not every:
                 return
-
-    def _count(self, frame: SourceFrame, when: int, path: Path) -> SourceFrame:
-        self._seen[path.name] = when
-        self._number += 1
-        return replace(frame, number=self._number - 1)
 
     def _read_frame(self, path: Path) -> SourceFrame | None:
         """Return a file as a frame, or None while the file may be incomplete."""
