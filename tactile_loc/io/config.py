@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 from pydantic_core import PydanticCustomError
 
 from tactile_loc.core.poses.tolerance import EXPECTED, ONE_MILLIMETRE, Tolerance
@@ -15,7 +15,7 @@ from tactile_loc.core.runtime.errors import ConfigError, did_you_mean
 from tactile_loc.core.sensing.depth_maps import DepthUnit, TouchKind
 from tactile_loc.core.sensing.noise import NoiseLevel
 from tactile_loc.core.sensing.sensor_geometry import Drawing
-from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, TrackerOptions
+from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, StrictModel, TrackerOptions
 from tactile_loc.io.toml import parse_value, read_toml, scale
 from tactile_loc.slots.options import validate_options
 from tactile_loc.slots.registry import SLOTS, registry
@@ -31,11 +31,7 @@ OPTIONS = {
 }
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class SlotConfig(_Strict):
+class SlotConfig(StrictModel):
     """One slot: the component's name and its options. In TOML, this is a table with `name` and the options."""
 
     name: str
@@ -54,7 +50,7 @@ class SlotConfig(_Strict):
         return value
 
 
-class ObjectConfig(_Strict):
+class ObjectConfig(StrictModel):
     """The object: a mesh file or the name of a demo object, with its unit and symmetry."""
 
     path: str = "hook"
@@ -62,7 +58,7 @@ class ObjectConfig(_Strict):
     symmetry: str = "auto"
 
 
-class TouchConfig(_Strict):
+class TouchConfig(StrictModel):
     """The touch: a file, and the unit, the kind and the press depth (mm) of its depths if the file does not state them.
 
     Without a file, a touch is simulated with `noise`.
@@ -104,7 +100,7 @@ def choose_component(slot: str, grid: str = WHOLE.name) -> SlotConfig:
     return OF_WHOLE.get(slot, chosen) if grid == WHOLE.name else chosen
 
 
-class RunConfig(_Strict):
+class RunConfig(StrictModel):
     """All settings that determine a result.
 
     `shape_px` is the longer image side of the grid's contact shapes, pixels.

@@ -35,7 +35,6 @@ PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "DIB", "TIFF", "WEBP", "GIF", "PPM")  #
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 COLOUR_ARRAYS = {3: "RGB", 4: "RGBA"}  # modes of photos, by the number of channels
-ORIENTATION, TRANSPOSED = 0x0112, (5, 6, 7, 8)  # tag of EXIF, and its values that exchange width and height
 TILE_WIDTH, TILE_HEIGHT = 322, 323  # tags of TIFF
 UNREADABLE = (OSError, ValueError, TypeError)  # errors of reading a damaged file, or of converting its arrays
 
@@ -77,8 +76,9 @@ def _read_picture(path: Path) -> tuple[str | None, NDArray[np.uint8] | None]:
             mode = COLOUR_ARRAYS.get(held.shape[2]) if held.ndim == 3 and held.dtype == np.uint8 else None
             values = None if mode is None else load_npy(path)
         else:
-            mode = measure_image(path)[0]
-            values = load_image(path)[1] if mode in COLOUR_ARRAYS.values() else None
+            with _open_picture(path) as picture:
+                mode = _find_plain_mode(picture)
+                values = _decode(picture, mode) if mode in COLOUR_ARRAYS.values() else None
     return mode, None if mode is None or values is None else find_colours(mode, values, str(path))
 
 
@@ -137,22 +137,16 @@ def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, ND
     The image is turned as its EXIF data state, like in any viewer. A palette is replaced by its colours. Raises OSError
     when the file cannot be read, and ValueError when it is damaged, too large, or has several pages.
     """
+    with _open_picture(path) as image:
+        wanted = mode or _find_plain_mode(image)
+        return wanted, _decode(image, wanted)
+
+
+def _decode(image: Any, mode: str) -> NDArray[Any]:
     from PIL import ImageOps
 
-    with _open_picture(path) as image:
-        ImageOps.exif_transpose(image, in_place=True)
-        wanted = mode or _find_plain_mode(image)
-        return wanted, np.asarray(image if wanted == image.mode else image.convert(wanted))
-
-
-def measure_image(path: Path | IO[bytes]) -> tuple[str, tuple[int, int]]:
-    """Return the mode and the shape (H, W) that `load_image` would return, from the header. Raises its errors."""
-    with _open_picture(path) as image:
-        # Pillow states the size of a TIFF after the turn, and decodes a PNG without EXIF data to look for them
-        stated = image.format != "TIFF" and (image.format != "PNG" or "exif" in image.info)
-        turned = stated and image.getexif().get(ORIENTATION) in TRANSPOSED
-        width, height = image.size[::-1] if turned else image.size
-        return _find_plain_mode(image), (height, width)
+    ImageOps.exif_transpose(image, in_place=True)
+    return np.asarray(image if mode == image.mode else image.convert(mode))
 
 
 @contextmanager
@@ -160,7 +154,7 @@ def _open_picture(path: Path | IO[bytes]) -> Iterator[Any]:
     """Yield an image of Pillow, of which only the header is read. Raises OSError or ValueError as `load_image`."""
     from PIL import Image
 
-    with convert_damage(Image.DecompressionBombError), warnings.catch_warnings():
+    with convert_damage(), warnings.catch_warnings():
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MOST_PIXELS is the limit
         if isinstance(path, Path):
             require_size(path.stat().st_size, MOST_FILE_BYTES)

@@ -11,11 +11,13 @@ TUNABLE = ("search", "hypotheses", "tracker")
 CERTAIN = 0.9  # probability at which a pose counts as certain
 
 
-class _Options(BaseModel):
+class StrictModel(BaseModel):
+    """Values that cannot be changed. Unknown keys, NaN and infinity are refused."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class SearchOptions(_Options):
+class SearchOptions(StrictModel):
     """Options of the search of a whole object. A rotated place is a place of the object at one yaw."""
 
     candidates: int = Field(default=1000, ge=1, description="rotated places kept after matching one touch")
@@ -39,7 +41,7 @@ class SearchOptions(_Options):
     free_z_mm: float = Field(default=1.0, ge=0, description="free shift along z when drawn for several touches, mm")
 
 
-class HypothesisOptions(_Options):
+class HypothesisOptions(StrictModel):
     """Options that decide which poses are refined, and when two poses count as one hypothesis."""
 
     mode_radius: float = Field(default=2.0, gt=0, description="poses within this distance are one mode, grid spacings")
@@ -53,7 +55,7 @@ class HypothesisOptions(_Options):
     image_px: int = Field(default=40, ge=16, description="image side for drawing proposed poses, pixels")
 
 
-class TrackerOptions(_Options):
+class TrackerOptions(StrictModel):
     """Options that decide which modes the tracker follows, which touches share a contact, and when it searches."""
 
     modes: int = Field(default=5, ge=1, description="most modes to follow")

@@ -43,7 +43,6 @@ from tactile_loc.io.images import (
     explain_picture,
     guard_reading,
     load_image,
-    measure_image,
     read_brightness,
     read_colour_image,
     require_file,
@@ -151,12 +150,12 @@ def _find_depth(held: Mapping[str, NDArray[Any]], path: Path) -> str:
 
 
 def _read_png(path: Path, geometry: SensorGeometry | None) -> FileContents:
-    mode, shape = measure_image(path)
+    mode, values = load_image(path)
     if not mode.startswith("I"):  # Pillow before 11 opens 16-bit grey as "I"
         raise TouchError(explain_picture(path, mode))
     if geometry is not None:
-        require_fit(shape, geometry, str(path))
-    return FileContents(depth=load_image(path)[1].astype(np.uint16))
+        require_fit(values.shape, geometry, str(path))
+    return FileContents(depth=values.astype(np.uint16))
 
 
 def is_overview(path: Path) -> bool:
@@ -193,7 +192,9 @@ def read_touch(
     path = Path(path)
     geometry = sensor.geometry
     if kind == MASK:
-        return _build_mask(path, _read_mask_file(path, geometry), sensor, unit, press_depth_m)
+        is_picture = path.suffix.lower() == ".png"
+        contents = FileContents(depth=read_brightness(path)) if is_picture else read_contents(path, geometry)
+        return _build_mask(path, contents, sensor, unit, press_depth_m)
     image = read_colour_image(path)
     if image is not None:
         with name_source(path):
@@ -205,16 +206,6 @@ def read_touch(
     _compare_gels(contents.gel, geometry.gel, path)
     shape = _build_shape(contents, str(path), geometry, unit, press_depth_m, kind)
     return Touch(shape, geometry, path.name, to_array(contents.T_base_sensor), to_array(contents.T_sensor_object))
-
-
-def _read_mask_file(path: Path, geometry: SensorGeometry) -> FileContents:
-    """Read an .npz, .npy or grey .png file with a contact mask, as `read_contents`."""
-    if path.suffix.lower() != ".png":
-        return read_contents(path, geometry)
-    require_file(path)
-    with guard_reading(path):
-        require_fit(measure_image(path)[1], geometry, str(path))
-    return FileContents(depth=read_brightness(path))
 
 
 def _build_mask(

@@ -11,7 +11,7 @@ from PIL import Image
 
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.runtime.limits import MOST_SIDE_PX
-from tactile_loc.io.images import load_image, measure_image, read_colour_image, read_photo
+from tactile_loc.io.images import load_image, read_colour_image, read_photo
 
 
 def test_an_image_larger_than_any_sensors_is_refused_before_reading(tmp_path):
@@ -45,6 +45,7 @@ def test_photos_are_read_in_every_way_of_storing_their_colours(tmp_path):
         save_picture(tmp_path / "plain.png", COLOURS),
         save_picture(tmp_path / "alpha.tif", OPAQUE),
         save_picture(tmp_path / "turned.png", np.rot90(COLOURS), exif=exif),
+        save_picture(tmp_path / "turned.tif", np.rot90(COLOURS), exif=exif),
         tmp_path / "alpha.npy",
     ):
         np.testing.assert_array_equal(read_photo(path), COLOURS, str(path))
@@ -71,15 +72,6 @@ def test_a_picture_that_is_no_photo_of_a_gel_is_named(tmp_path, name):
     for read in (read_photo, read_colour_image):
         with pytest.raises(TouchError, match=naming(name, *words)):
             read(path)
-
-
-@pytest.mark.parametrize("suffix", ["png", "jpg", "tif"])
-def test_the_shape_of_a_picture_is_that_after_turning_it(tmp_path, suffix):
-    exif = Image.Exif()
-    exif[0x0112] = EXIF_TURNED
-    for options in ({}, {"exif": exif}):
-        path = save_picture(tmp_path / f"a.{suffix}", COLOURS, **options)
-        assert measure_image(path) == ("RGB", load_image(path)[1].shape[:2])
 
 
 def test_a_contact_shape_is_left_to_its_reader_and_is_no_photo(tmp_path):

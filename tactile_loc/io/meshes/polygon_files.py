@@ -17,24 +17,7 @@ from tactile_loc.io.meshes.polygons import EXPORT_AGAIN, Polygons
 COMMENT = re.compile(rb"^[ \t]*#[^\r\n]*", re.MULTILINE)  # it may end in a backslash, but does not continue
 CONTINUED = re.compile(rb"\\[ \t]*(\r\n?|\n)")
 FREE_FORM = ("surf", "curv", "curv2", "scrv")
-PLY_TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "double": "f8",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float32": "f4",
-    "float64": "f8",
-}
+PLY_TYPES = {"char": "i1", "uchar": "u1", "int": "i4", "uint": "u4", "float": "f4"}  # other names are those of numpy
 
 
 def read_obj(path: Path) -> Polygons:
@@ -129,7 +112,8 @@ def read_ply(path: Path) -> Polygons:
         if words[:1] == ["element"]:
             elements[words[1]] = int(words[2]), []
         elif words[:1] == ["property"]:
-            kinds = ["<f8" if is_text else order + PLY_TYPES[word] for word in words[1:-1] if word != "list"]
+            types = [np.dtype(PLY_TYPES.get(word, word)) for word in words[1:-1] if word != "list"]
+            kinds = ["<f8" if is_text else (order + kind.str[1:]) for kind in types]
             elements[list(elements)[-1]][1].append(_Property(words[-1], kinds[-1], kinds[0] if kinds[1:] else None))
     start, columns = 0, {}
     for name, (count, properties) in elements.items():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import os
-import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -175,7 +174,7 @@ class Recording:
                     if isinstance(record, DataEnd):
                         return
                     yield record
-            except _list_damages() as error:
+            except Exception as error:  # noqa: BLE001 - damaged bytes raise errors of any type
                 self.damage = "it is truncated" if isinstance(error, EndOfFile) else summarize(error)
 
     def _read_bag(self) -> Iterator[Message]:
@@ -190,7 +189,7 @@ class Recording:
                 topics = {c.id: _read_bag_topic(c, encoding) for c in reader.connections}
                 for connection, time_ns, data in reader.messages():
                     yield Message(topics[connection.id], time_ns, time_ns, unpack(data))
-        except _list_damages() as error:
+        except Exception as error:  # noqa: BLE001 - damaged bytes raise errors of any type
             self.damage = summarize(error)
 
 
@@ -314,20 +313,6 @@ def _complete_type(name: str) -> str:
     """Return the name of a message type in the form of ROS 2: package/msg/Name."""
     package, _, kind = name.partition("/")
     return name if "/" in kind or not kind else f"{package}/msg/{kind}"
-
-
-def _list_damages() -> tuple[type[Exception], ...]:
-    """Return the errors that reading damaged bytes raises."""
-    import apsw
-    from mcap.exceptions import McapError
-    from rosbags.highlevel import AnyReaderError
-    from rosbags.rosbag1 import ReaderError as Ros1Error
-    from rosbags.rosbag2 import ReaderError as Ros2Error
-    from zstandard import ZstdError
-
-    of_libraries = (McapError, AnyReaderError, Ros1Error, Ros2Error, ZstdError, struct.error, apsw.Error)
-    of_code = (LookupError, ArithmeticError, AssertionError, TypeError, AttributeError, RuntimeError)
-    return (OSError, ValueError, EOFError, MemoryError, *of_code, *of_libraries)  # a damaged length raises MemoryError
 
 
 def _read_mcap_records(file: IO[bytes], size: int) -> Iterator[Any]:
