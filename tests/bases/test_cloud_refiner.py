@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.bases.cloud_refiner import CloudRefiner, Registration, make_orthonormal
+from tactile_loc.bases.cloud_refiner import CloudRefiner, Registration
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.testing.problems import OFFSETS, press_block, replace_depth
 
@@ -104,11 +104,3 @@ def test_each_candidate_gets_its_own_registration():
     assert [result.iterations for result in many] == [0, 0, 1]
     assert [result.converged for result in many] == [True, False, True]
     np.testing.assert_allclose(many[2].T_sensor_object, make_translation([1e-5, 0, 0]) @ problem.truth, atol=1e-9)
-
-
-def test_make_orthonormal_removes_rounding_errors():
-    T = np.round(press_block().truth, 3)
-    cleared = make_orthonormal(T)
-    np.testing.assert_allclose(cleared[:3, :3] @ cleared[:3, :3].T, np.eye(3), atol=1e-14)
-    np.testing.assert_allclose(cleared, T, atol=1e-3)
-    assert np.linalg.det(cleared[:3, :3]) > 0

@@ -83,11 +83,6 @@ def test_every_slot_has_built_in_components_of_its_type():
         assert component.spec.summary
 
 
-def test_create_sets_the_options():
-    grid = registry().create("grid", "face", {"spacing_mm": 3, "face": "+x"})
-    assert (grid.options.spacing_mm, grid.options.face) == (3.0, "+x")
-
-
 @pytest.mark.parametrize(
     ("slot", "name", "values"),
     [
@@ -124,12 +119,6 @@ def test_equal_names_conflict_only_when_the_name_is_requested(install):
         registry().find("refiner", "twin")
     assert registry().find("refiner", "alone").distribution == "acme-tools"
     assert registry().find("matcher", "alone").distribution == "brand-tools"
-
-
-def test_a_plugin_cannot_silently_replace_a_built_in_component(install):
-    install("acme-tools", acme_plugin=hook(spec("refiner", "icp", "a:A")))
-    with pytest.raises(PluginConflictError, match=naming("'icp'", "tactile-loc", "acme-tools")):
-        registry().create("refiner", "icp")
 
 
 KIND = """\
@@ -237,10 +226,6 @@ class Paint(BaseModel):
     colour: str = "red"
     coats: int = Field(default=2, ge=1)
     finish: Literal["matt", "gloss"] = "matt"
-
-
-def test_valid_options_are_accepted():
-    assert validate_options(Paint, {"coats": 3}, "brush 'b'").coats == 3
 
 
 @pytest.mark.parametrize(

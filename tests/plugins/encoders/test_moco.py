@@ -102,28 +102,6 @@ def test_the_momentum_copy_has_the_statistics_and_averaged_weights_of_the_networ
 
 
 @pytest.mark.slow
-def test_the_encoder_learns_to_distinguish_poses(problem):
-    encoder = make(epochs=2, queries=256, noise="none")
-    encoder.recipe = dataclasses.replace(encoder.recipe, momentum=0.9, refresh=8)
-    geometry, clean = problem.scene.geometry, np.concatenate(list(problem.shapes()))
-    encoder.fit(problem)
-    bank = encoder.encode(clean, geometry.max_depth_m, geometry)
-    rng = np.random.default_rng(7)
-    touches = encoder_touches(problem, rng)
-    vectors = encoder.encode(touches[0], geometry.max_depth_m, geometry)
-    hits = ((vectors @ bank.T).argmax(1) == touches[1]).mean()
-    assert hits > 10 / len(problem.grid), "the encoder is hardly better than chance"
-    np.testing.assert_allclose(np.linalg.norm(bank, axis=1), 1.0, atol=1e-5)
-
-
-def encoder_touches(problem, rng):
-    from tactile_loc.simulate.contact_poses import draw_contact_poses
-
-    poses = draw_contact_poses(problem.sampler, problem.scene, 60, rng)
-    return problem.scene.render_contact_depths(poses), problem.grid.nearest(poses)[1]
-
-
-@pytest.mark.slow
 def test_equal_seeds_learn_equal_weights_and_other_seeds_learn_others(problem, learned):
     again, other = make(), make(seed=1)
     for encoder in (again, other):
@@ -206,12 +184,6 @@ def test_sampled_softmax_keeps_every_target_key():
     assert len(kept.unique(dim=0)) == len(kept) <= 3 + 10
 
 
-def test_sampled_softmax_can_train(problem):
-    encoder = make(epochs=1, negatives=8)
-    encoder.fit(problem)
-    assert all(np.isfinite(v).all() for v in weights(encoder).values())
-
-
 def test_the_input_holds_the_averaged_observed_contact_and_the_press(problem):
     geometry = problem.scene.geometry
     depth = np.full((1, *geometry.shape), geometry.max_depth_m, np.float32)
@@ -277,18 +249,6 @@ def test_weights_are_read_back_from_a_file(problem, learned, places, tmp_path):
 def some_seen(problem, rng):
     keys = next(iter(problem.clean_keys(1e-3)))[:6]
     return keys, rng.random(keys.shape) < 0.7
-
-
-def test_the_embedding_of_a_place_ignores_unobserved_pixels(places):
-    encoder, problem = places
-    keys, seen = some_seen(problem, np.random.default_rng(0))
-    garbage = np.where(seen, keys, np.float32(2e-4))
-    (one, weights), (two, _) = (encoder.encode_seen(some, seen, 1e-3, problem.geometry) for some in (keys, garbage))
-    np.testing.assert_array_equal(one, two)
-    np.testing.assert_array_equal(weights, 1.0)
-    np.testing.assert_allclose(np.linalg.norm(one, axis=1), 1.0, atol=1e-5)
-    out_of_contact = encoder.encode(np.where(seen, keys, np.float32(1e-3)), 1e-3, problem.geometry)
-    assert np.abs(one - out_of_contact).max() > 1e-3, "unobserved pixels count as pixels without contact"
 
 
 def test_weight_files_without_a_plane_count_have_one_plane(problem, learned, tmp_path):
@@ -361,14 +321,3 @@ def test_two_processes_average_add_and_share_values(tmp_path):
         words, cwd=tmp_path, env={**os.environ, "OMP_NUM_THREADS": "1"}, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stderr
-
-
-def test_a_single_process_communicates_nothing():
-    crew = training.Crew(torch.device("cpu"))
-    tensor = torch.tensor([2.0])
-    crew.average([tensor])
-    assert (crew.rank, crew.size, crew.share(7)) == (0, 1, 7)
-    assert crew.add(tensor) is tensor
-    assert crew.agree("word") == "word"
-    assert tensor.item() == 2.0
-    crew.leave()

@@ -76,12 +76,6 @@ def test_binary_cells_hold_the_outline_and_depth_cells_the_penetration():
     np.testing.assert_allclose(full, 2 * half, atol=1e-6)
 
 
-def test_an_empty_shape_gives_a_zero_vector():
-    geometry = sensor(20, 20)
-    for signal in ("binary", "depth"):
-        assert not pixel(10, signal).encode(np.full((1, 20, 20), PRESS_M, np.float32), PRESS_M, geometry).any()
-
-
 @pytest.mark.parametrize(("width", "height"), [(470, 470), (320, 240), (240, 320), (298, 201), (640, 333)])
 @pytest.mark.parametrize("cells", [4, 20, 90])
 @pytest.mark.parametrize("long_side", [16, 60, 80, 128])
@@ -90,20 +84,3 @@ def test_touch_and_bank_have_the_same_cells_at_any_resolution(width, height, cel
     coarse = fine.resize_long_side(long_side)
     dimensions = {pixel(cells).encode(np.zeros((1, *g.shape), np.float32), PRESS_M, g).shape for g in (fine, coarse)}
     assert len(dimensions) == 1
-
-
-def test_the_same_view_at_another_resolution_gives_a_similar_vector():
-    fine = sensor(160, 120)
-    coarse = fine.resize(80, 60)
-    vectors = []
-    for g in (fine, coarse):
-        x, y = (s[None] if axis else s[:, None] for axis, s in zip((1, 0), g.pixel_slopes, strict=True))
-        disc = np.hypot(x, y - 0.004) < 0.011
-        vectors.append(pixel(20).encode(np.where(disc, 0.0, PRESS_M)[None].astype(np.float32), PRESS_M, g)[0])
-    assert ((vectors[0] - vectors[1]) ** 2).sum() < 1e-3
-    assert (vectors[0] ** 2).sum() > 0.05
-
-
-def test_the_bank_follows_the_press_depth():
-    assert PixelEncoder.capabilities.follows_press_depth
-    assert not PixelEncoder.capabilities.needs_training

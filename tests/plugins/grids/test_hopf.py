@@ -63,14 +63,6 @@ def test_neighbouring_rotations_are_one_spacing_apart_for_any_shape(obj, spacing
     assert 0.85 < np.median(turned.neighbour_spacing()) / spacing_m < 1.15
 
 
-def test_poses_are_one_spacing_apart():
-    T = HopfGrid().sample(BRICK, GEOMETRY, 0.012)
-    assert 0.85 < np.median(PoseGrid(T, PoseMetric(BRICK)).neighbour_spacing()) / 0.012 < 1.15
-    surface = TriangleMesh(np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0.0]]), np.array([[0, 1, 2]]))
-    sheet = ObjectModel("sheet", surface, SymmetryGroup.parse("none", np.zeros(3)))
-    assert is_rigid(HopfGrid().sample(sheet, GEOMETRY, 0.01)), "a flat surface is sampled, too"
-
-
 def test_the_spin_axis_is_the_distinct_principal_axis():
     for obj, axis in ((ROD, [1, 0, 0]), (PLATE, [0, 0, 1])):
         found, about_m, across_m = find_spin_axis(obj)
@@ -90,25 +82,6 @@ def test_a_level_sets_the_rotations_and_the_spacing_sets_the_plane(level):
     np.testing.assert_allclose(apart.min(), 0.02)
 
 
-def test_the_spacing_describes_the_whole_grid_only_without_a_level():
-    assert HopfGrid().spacing_is_mean
-    assert not HopfGrid(HopfGrid.Options(level=1)).spacing_is_mean
-
-
-def test_the_plane_is_covered_wherever_boxes_overlap():
-    T = HopfGrid().sample(BRICK, GEOMETRY, 0.015)
-    R, counts = np.unique(T[:, :3, :3].reshape(-1, 9), axis=0, return_counts=True)
-    for rotation in R[::40].reshape(-1, 3, 3):
-        c = centroids(BRICK, T[(T[:, :3, :3] == rotation).all(axis=(1, 2))])
-        half = np.ptp(BRICK.mesh.vertices_m @ rotation.T, axis=0)[:2] / 2 + [0.010, 0.0075]
-        places = np.random.default_rng(0).uniform(-half, half, (200, 2))
-        off = np.abs(places[:, None] - c[None, :, :2]).max(axis=-1).min(axis=1)
-        assert off.max() <= 0.015 / 2 + 1e-9
-        assert (np.abs(c[:, :2]) <= half + 1e-9).all()
-        np.testing.assert_allclose(c[:, 2], 0, atol=1e-12)
-    assert counts.min() >= 1
-
-
 def test_poses_outside_the_range_have_no_contact_and_most_inside_have():
     R = draw_rotations(100, np.random.default_rng(3))
     low, high = find_centroid_range(BRICK, R, GEOMETRY)
@@ -117,11 +90,6 @@ def test_poses_outside_the_range_have_no_contact_and_most_inside_have():
         assert not bring_to_contact(BRICK.mesh, make_transform(R, beyond), GEOMETRY)[1].any()
     poses = HopfGrid().sample(BRICK, GEOMETRY, 0.015)
     assert bring_to_contact(BRICK.mesh, poses, GEOMETRY)[1].mean() > 0.5
-
-
-def test_a_box_needs_a_quarter_of_the_poses():
-    alone, symmetric = (HopfGrid().sample(box(0.06, 0.04, 0.03, s), GEOMETRY, 0.01) for s in ("none", "x2*y2"))
-    assert len(symmetric) / len(alone) == pytest.approx(0.25, abs=0.02)
 
 
 def test_a_symmetry_of_half_turns_about_the_spin_axis_halves_the_grid():
@@ -234,13 +202,6 @@ def to_nearest(R: np.ndarray, grid: np.ndarray, k: int = 1) -> tuple[np.ndarray,
     return 4 * np.arcsin(chord[:, 0] / 2), index[:, 0] % len(grid)
 
 
-def test_base_pixels_have_the_positions_of_healpix():
-    z, azimuth_rad = compute_pixel_angles(1, np.arange(12))
-    np.testing.assert_allclose(z, np.repeat([2 / 3, 0, -2 / 3], 4), atol=1e-15)
-    north, equator = [45, 135, 225, 315], [0, 90, 180, 270]
-    np.testing.assert_allclose(np.degrees(azimuth_rad) % 360, [*north, *equator, *north])
-
-
 @pytest.mark.parametrize("nside", [1, 2, 3, 5, 8])
 def test_centres_follow_the_ring_scheme_for_any_nside(nside):
     ours, theirs = centres(nside), ring_scheme(nside)
@@ -279,20 +240,3 @@ def test_every_rotation_lies_within_the_radius_of_a_cell(nside):
     bound = 2 * np.arccos(np.cos(largest_pixel_radius(nside) / 2) * np.cos(np.pi / (6 * nside) / 2))
     angle, _ = to_nearest(draw_rotations(20_000, np.random.default_rng(0)), all_rotations(nside, 6 * nside))
     assert 0.75 * bound < angle.max() <= bound
-
-
-@pytest.mark.parametrize("nside", [1, 2])
-def test_each_rotation_is_nearest_to_an_equal_share(nside):
-    grid = all_rotations(nside, 6 * nside)
-    _, index = to_nearest(draw_rotations(20_000, np.random.default_rng(1)), grid)
-    share = np.bincount(index, minlength=len(grid)) * (len(grid) / 20_000)
-    chance = np.sqrt(len(grid) / 20_000)
-    assert np.abs(share - 1).max() < 4.5 * chance
-    assert share.std() < 1.1 * np.hypot(
-        chance, 0.1
-    )  # cells differ by a few per cent, in addition to the noise of the draw
-
-
-def test_indices_select_from_the_whole_grid():
-    some = np.array([5, 700, 0, 5])
-    np.testing.assert_array_equal(make_hopf_rotations(4, 11, some), all_rotations(4, 11)[some])

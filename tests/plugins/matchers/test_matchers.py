@@ -70,12 +70,6 @@ def case(request) -> tuple[np.ndarray, ...]:
     return request.getfixturevalue(request.param)
 
 
-def test_dense_equals_brute_force(case):
-    queries, bank, *weights = case
-    scores = dense_of(bank).scores(queries, *weights)
-    np.testing.assert_allclose(scores, brute_force(queries, bank, *weights), atol=1e-6, rtol=1e-4)
-
-
 def test_faiss_flat_equals_dense_for_the_best_rows(case):
     """The scores agree to 1e-5 of the best rows' scores, the precision of float32 sums."""
     queries, bank, *weights = case
@@ -99,14 +93,6 @@ def test_approximate_search_finds_most_of_the_best_rows(case, kind):
     assert 0 < kept.sum() < kept.size
 
 
-def test_dense_takes_any_memory_layout_and_keeps_the_bank(random_bank):
-    queries, bank = random_bank
-    before = bank.copy()
-    fortran = dense_of(np.asfortranarray(bank).astype(np.float64)).scores(queries)
-    np.testing.assert_allclose(fortran, dense_of(bank).scores(queries), atol=1e-5)
-    assert np.array_equal(bank, before)
-
-
 def test_a_bank_far_from_the_origin_costs_weighted_faiss_no_accuracy(random_bank):
     queries, bank = (rows + np.float32(100) for rows in random_bank)
     weights = np.random.default_rng(2).uniform(size=queries.shape).astype(np.float32)
@@ -128,23 +114,3 @@ def test_a_small_bank_is_indexed_without_output(random_bank, capfd):
     queries, bank = random_bank
     matcher_of(bank[:200], kind="ivf").scores(queries)
     assert capfd.readouterr() == ("", "")
-
-
-def test_faiss_accepts_a_bank_smaller_than_top_k(random_bank):
-    queries, bank = random_bank
-    for kind in ("flat", "hnsw", "ivf"):
-        scores = matcher_of(bank[:60], kind=kind, top_k=1000, effort=256).scores(queries)
-        np.testing.assert_allclose(scores, brute_force(queries, bank[:60]), atol=1e-4, rtol=1e-4)
-
-
-def test_ivf_scores_more_rows_with_more_effort(real_bank):
-    queries, bank = real_bank
-    little, much = (
-        np.isfinite(matcher_of(bank, kind="ivf", effort=e, top_k=len(bank)).scores(queries)).sum() for e in (1, 20)
-    )
-    assert little < much
-
-
-def test_faiss_declares_that_it_scores_only_the_best_rows():
-    assert FaissMatcher.capabilities.top_k_only
-    assert not DenseMatcher.capabilities.top_k_only

@@ -11,7 +11,6 @@ from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.plugins.refiners.icp import IcpRefiner
-from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 
 
@@ -22,13 +21,6 @@ def test_a_candidate_above_the_sensor_is_brought_to_contact(pin_scene, pin_touch
     lifted = Candidate(make_translation([0.0, 0.0, 0.002]) @ candidate.T_sensor_object, 0, 0.0)
     a, b = (IcpRefiner().refine(touch, c, pin_scene).T_sensor_object for c in (candidate, lifted))
     np.testing.assert_allclose(a, b, atol=1e-6)
-
-
-def test_the_none_refiner_returns_the_candidate(pin_scene, pin_touches, off_by):
-    candidate = off_by(pin_touches[5], 1.0, 3.0, 0.0)
-    refined = NoRefiner().refine(pin_touches[5], candidate, pin_scene)
-    assert np.array_equal(refined.T_sensor_object, candidate.T_sensor_object)
-    assert refined.iterations == 0
 
 
 @pytest.mark.parametrize("camera", ["pinhole", "orthographic"])

@@ -7,7 +7,6 @@ import sys
 import numpy as np
 import pytest
 from message_helpers import naming
-from pydantic import ValidationError
 
 from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
@@ -60,11 +59,6 @@ def test_the_batch_size_does_not_change_the_result(camera, bracket, rays_per_bat
     np.testing.assert_array_equal(actual, expected)
 
 
-def test_batches_hold_every_box_once_and_keep_the_limit():
-    boxes = [(slice(2, 2 + h), slice(0, 10)) for h in (3, 0, 4, 9, 1, 2, 3)]  # 30, 0, 40, 90, 10, 20, 30 pixels
-    assert list(raycast._group_boxes(boxes, 50)) == [[0], [2], [3], [4, 5], [6]]
-
-
 def test_a_scene_is_built_once_for_equal_surfaces_and_few_are_cached(camera, sphere, bracket, monkeypatch):
     built = []
     build = raycast._build_scene
@@ -77,12 +71,6 @@ def test_a_scene_is_built_once_for_equal_surfaces_and_few_are_cached(camera, sph
     assert (first != renderer.render(bracket, T, camera)).any()
     np.testing.assert_array_equal(renderer.render(sphere, T, camera), first)
     assert len(renderer._meshes) == 1
-
-
-@pytest.mark.parametrize("bad", [{"rays_per_batch": 0}, {"cached_meshes": 0}])
-def test_impossible_options_are_refused(bad):
-    with pytest.raises(ValidationError, match=next(iter(bad))):
-        Options(**bad)
 
 
 def test_a_missing_open3d_gives_a_one_sentence_error(camera, sphere, monkeypatch):

@@ -15,36 +15,51 @@ from typing import Literal
 import torch
 from torch import nn
 
-from tactile_loc.plugin import ConfigError, MissingLibraryError, WeightsError, did_you_mean
+from tactile_loc.plugin import ConfigError, WeightsError, did_you_mean
+
+log = logging.getLogger(__name__)
 
 Norm = Literal["batch", "group"]
 
 RESNET_DEPTHS = {"resnet18": (2, 2, 2, 2), "resnet50": (3, 4, 6, 3)}
-_WIDTHS = (64, 128, 256, 512)
-_GROUPS = 32
+BACKBONES = ("small", *RESNET_DEPTHS)
+_WIDTHS, _GROUPS = (64, 128, 256, 512), 32
+_SMALL_WIDTHS, _SMALL_GROUPS = (24, 48, 96, 128), 8
+_STATISTICS = ("running_mean", "running_var", "num_batches_tracked")
 
 
 class Backbone(nn.Module):
     """A fully convolutional network from images (N, in_channels, H, W) to a coarse map, which is the feature vector.
 
-    `name` is the architecture. `stride_px` is the distance between the map's cells, in input pixels. `in_channels` and
-    `channels` are the numbers of channels of the input and of the map. Every convolution pads by half its kernel, so a
-    cell covers the same place for every image size.
+    "small" has four normalised 3x3 convolutions of stride 2 (24, 48, 96, 128 channels), for training on two CPU cores.
+    A 64x64 image takes 15 MFLOP and gives a 4x4 map.
+
+    "resnet18" and "resnet50" are residual networks without average pooling and classifier. With `norm="batch"` and
+    three input channels, every parameter and buffer has torchvision's name and shape. As in torchvision's version 1.5,
+    the 3x3 convolution of a bottleneck has the stride. With `norm="group"`, the names are the same, but there are no
+    running statistics, so images do not influence each other's features.
+
+    A layer `project`, a 1x1 convolution to `channels` channels, follows. With `channels=None`, it is left out, and the
+    map has 128, 512 or 2048 channels. `stride_px` is the distance between the map's cells, in input pixels. Every
+    convolution pads by half its kernel, so a cell covers the same place for every image size.
     """
 
-    def __init__(self, name: str, stride_px: int, in_channels: int, width: int, channels: int | None) -> None:
+    def __init__(self, name: str, in_channels: int, channels: int | None, norm: Norm) -> None:
         super().__init__()
-        self.name, self.stride_px, self.in_channels = name, stride_px, in_channels
-        self.channels = width if channels is None else channels
+        small = name == "small"
+        self.name, self.stride_px, self.in_channels = name, 16 if small else 32, in_channels
+        stages, width = _make_small(in_channels, norm) if small else _make_resnet(name, in_channels, norm)
         self.project: nn.Module = nn.Identity() if channels is None else nn.Conv2d(width, channels, 1)
-
-    def features(self, images: torch.Tensor) -> torch.Tensor:
-        """Return the unprojected map (N, width, h, w) of images (N, in_channels, H, W)."""
-        raise NotImplementedError
+        for key, stage in stages.items():
+            self.add_module(key, stage)
 
     def feature_map(self, images: torch.Tensor) -> torch.Tensor:
         """Return the map (N, channels, h, w) of images (N, in_channels, H, W)."""
-        projected: torch.Tensor = self.project(self.features(images))
+        if self.name == "small":  # its stages keep this layout, a fifth faster on a CPU; the weights stay contiguous
+            images = images.to(memory_format=torch.channels_last)
+        for key, stage in self.named_children():
+            images = images if key == "project" else stage(images)
+        projected: torch.Tensor = self.project(images)
         return projected
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
@@ -64,38 +79,33 @@ def make_norm_layer(norm: Norm, width: int, groups: int) -> nn.Module:
     raise ConfigError(f"there is no normalisation {norm!r}; choose 'batch' or 'group'")
 
 
-class ResNet(Backbone):
-    """ResNet-18 or ResNet-50 without average pooling and classifier; the stride is 32 px.
+def _make_small(in_channels: int, norm: Norm) -> tuple[dict[str, nn.Module], int]:
+    """Return the stages of the small network by name, and the number of channels of its map."""
+    stages, incoming = [], in_channels
+    for width in _SMALL_WIDTHS:
+        convolution = nn.Conv2d(incoming, width, 3, 2, 1, bias=False)
+        stages.append(nn.Sequential(convolution, make_norm_layer(norm, width, _SMALL_GROUPS), nn.ReLU(inplace=True)))
+        incoming = width
+    return {"stages": nn.Sequential(*stages)}, incoming
 
-    With `norm="batch"` and three input channels, every parameter and buffer has torchvision's name and shape. As in
-    torchvision's version 1.5, the 3x3 convolution of a bottleneck has the stride. With `norm="group"`, the names are
-    the same, but there are no running statistics, so images do not influence each other's features. The layer
-    `project`, a 1x1 convolution to `channels` channels, is added. With `channels=None`, it is left out, and the map has
-    512 or 2048 channels.
-    """
 
-    def __init__(self, name: str, in_channels: int, channels: int | None, norm: Norm) -> None:
-        super().__init__(name, 32, in_channels, _list_convolutions(name, _WIDTHS[-1], 1)[-1][0], channels)
-        self.conv1 = nn.Conv2d(in_channels, 64, 7, 2, 3, bias=False)
-        self.bn1 = make_norm_layer(norm, 64, _GROUPS)
-        self.relu = nn.ReLU(inplace=True)
-        self.maxpool = nn.MaxPool2d(3, 2, 1)
-        incoming = 64
-        for index, (width, depth) in enumerate(zip(_WIDTHS, RESNET_DEPTHS[name], strict=True)):
-            blocks = []
-            for position in range(depth):
-                stride = 2 if index and not position else 1
-                convolutions = _list_convolutions(name, width, stride)
-                blocks.append(_Block(incoming, convolutions, norm))
-                incoming = convolutions[-1][0]
-            self.add_module(f"layer{index + 1}", nn.Sequential(*blocks))
-
-    def features(self, images: torch.Tensor) -> torch.Tensor:
-        """Return the unprojected map (N, 512 or 2048, h, w) of images (N, in_channels, H, W)."""
-        x = self.maxpool(self.relu(self.bn1(self.conv1(images))))
-        for index in range(len(_WIDTHS)):
-            x = self.get_submodule(f"layer{index + 1}")(x)
-        return x
+def _make_resnet(name: str, in_channels: int, norm: Norm) -> tuple[dict[str, nn.Module], int]:
+    """Return the stages of a residual network by name, and the number of channels of its map."""
+    stages: dict[str, nn.Module] = {
+        "conv1": nn.Conv2d(in_channels, 64, 7, 2, 3, bias=False),
+        "bn1": make_norm_layer(norm, 64, _GROUPS),
+        "relu": nn.ReLU(inplace=True),
+        "maxpool": nn.MaxPool2d(3, 2, 1),
+    }
+    incoming = 64
+    for number, (width, depth) in enumerate(zip(_WIDTHS, RESNET_DEPTHS[name], strict=True), start=1):
+        blocks = []
+        for position in range(depth):
+            convolutions = _list_convolutions(name, width, 2 if number > 1 and position == 0 else 1)
+            blocks.append(_Block(incoming, convolutions, norm))
+            incoming = convolutions[-1][0]
+        stages[f"layer{number}"] = nn.Sequential(*blocks)
+    return stages, incoming
 
 
 class _Block(nn.Module):
@@ -135,35 +145,6 @@ def _list_convolutions(name: str, width: int, stride: int) -> list[tuple[int, in
     return [(width, 1, 1), (width, 3, stride), (4 * width, 1, 1)]
 
 
-BACKBONES = ("small", *RESNET_DEPTHS)
-
-_LOG = logging.getLogger(__name__)
-_SMALL_WIDTHS = (24, 48, 96, 128)
-_STATISTICS = ("running_mean", "running_var", "num_batches_tracked")
-
-
-class SmallBackbone(Backbone):
-    """Four normalised 3x3 convolutions of stride 2 (24, 48, 96, 128 channels), for training on two CPU cores.
-
-    A 64x64 image takes 15 MFLOP and gives a 4x4 map; the stride is 16 px.
-    """
-
-    def __init__(self, in_channels: int, channels: int | None, norm: Norm) -> None:
-        super().__init__("small", 16, in_channels, _SMALL_WIDTHS[-1], channels)
-        stages, incoming = [], in_channels
-        for width in _SMALL_WIDTHS:
-            convolution = nn.Conv2d(incoming, width, 3, 2, 1, bias=False)
-            stages.append(nn.Sequential(convolution, make_norm_layer(norm, width, 8), nn.ReLU(inplace=True)))
-            incoming = width
-        self.stages = nn.Sequential(*stages)
-
-    def features(self, images: torch.Tensor) -> torch.Tensor:
-        """Return the unprojected map (N, 128, h, w) of images (N, in_channels, H, W)."""
-        # the stages keep this memory layout and are a fifth faster in it on a CPU; the weights stay contiguous
-        features: torch.Tensor = self.stages(images.to(memory_format=torch.channels_last))
-        return features
-
-
 def make_backbone(
     name: str, *, generator: torch.Generator, in_channels: int = 1, channels: int | None = 16, norm: Norm = "group"
 ) -> Backbone:
@@ -182,8 +163,7 @@ def make_backbone(
         if count is not None and count < 1:
             raise ConfigError(f"the backbone's {label} is {count}; it must be at least 1")
     with torch.device("meta"):  # torch's own initialisation would draw from the global random state
-        small = name == "small"
-        model = SmallBackbone(in_channels, channels, norm) if small else ResNet(name, in_channels, channels, norm)
+        model = Backbone(name, in_channels, channels, norm)
     model.to_empty(device="cpu")
     _initialise(model, generator)
     return model
@@ -219,7 +199,7 @@ def load_pretrained(model: Backbone, source: str | Path) -> None:
     """
     fitted = _fit_weights(model, _read_weights(Path(source)), str(source))
     model.load_state_dict(fitted, strict=False)
-    _LOG.debug("loaded %d tensors of %s from %s", len(fitted), model.name, source)
+    log.debug("loaded %d tensors of %s from %s", len(fitted), model.name, source)
 
 
 def _read_weights(path: Path) -> Mapping[str, torch.Tensor]:
@@ -230,13 +210,9 @@ def _read_weights(path: Path) -> Mapping[str, torch.Tensor]:
         )
     if not os.path.isfile(path):
         raise WeightsError(f"there is no weights file {path}; check the path")
-    try:
-        from safetensors import SafetensorError
-        from safetensors.torch import load_file
-    except ImportError as error:
-        raise MissingLibraryError(
-            f"{path} needs safetensors, which is not installed: pip install safetensors"
-        ) from error
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
     try:
         return load_file(path)
     except OSError as error:
@@ -248,21 +224,20 @@ def _read_weights(path: Path) -> Mapping[str, torch.Tensor]:
 def _fit_weights(model: Backbone, weights: Mapping[str, torch.Tensor], origin: str) -> dict[str, torch.Tensor]:
     """Return the tensors of `weights` that belong to the model. Raises WeightsError unless they are complete."""
     own = model.state_dict()
-    naming = "torchvision's" if model.name in RESNET_DEPTHS else "this library's"
-    advice = f"give weights of {model.name} with {naming} names"
     given = {key: value for key, value in weights.items() if not _is_ignored(key, own)}
-    fitted = {}
-    for key, place in own.items():
-        if key not in given and not _is_optional(key, given):
-            raise WeightsError(f"{origin} does not fit {model.name}: it has no {key!r}; {advice}")
-        if key in given:
-            tensor = _adapt_kernel(given[key], place) if key == "conv1.weight" else given[key]
-            if difference := _find_difference(tensor, place):
-                raise WeightsError(f"{origin} does not fit {model.name}: {key!r} {difference}; {advice}")
-            fitted[key] = tensor
-    if foreign := next((key for key in given if key not in own), None):
-        raise WeightsError(f"{origin} does not fit {model.name}, which has no {foreign!r}; {advice}")
-    return fitted
+    for key in dict.fromkeys([*own, *given]):
+        if key == "conv1.weight" and key in given and key in own:
+            given[key] = _adapt_kernel(given[key], own[key])
+        if key not in given:
+            problem = "" if _is_optional(key, given) else f"it has no {key!r}"
+        else:
+            problem = _find_difference(given[key], own[key]) if key in own else "is of another network"
+            problem = problem and f"its {key!r} {problem}"
+        if problem:
+            naming = "torchvision's" if model.name in RESNET_DEPTHS else "this library's"
+            advice = f"give weights of {model.name} with {naming} names"
+            raise WeightsError(f"{origin} does not fit {model.name}: {problem}; {advice}")
+    return given
 
 
 def _is_ignored(key: str, own: Mapping[str, torch.Tensor]) -> bool:

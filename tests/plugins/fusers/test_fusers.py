@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from message_helpers import missing, naming
-from pydantic import ValidationError
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
 
 
@@ -17,19 +17,6 @@ def posterior(box) -> PosePosterior:
     x = 0.001 * np.arange(4.0)
     grid = PoseGrid(make_translation(np.column_stack([x, 0 * x, 0 * x])), PoseMetric(box))
     return PosePosterior(grid, np.log([0.1, 0.2, 0.3, 0.4]))
-
-
-def test_a_prior_weights_each_pose_by_its_position(posterior):
-    weights = np.array([4.0, 3.0, 2.0, 1.0])
-    fused = ProductFuser().fuse([posterior], [None], lambda T: np.log(weights[np.rint(T[:, 0, 3] / 0.001).astype(int)]))
-    product = np.array([0.4, 0.6, 0.6, 0.4])
-    np.testing.assert_allclose(fused.probabilities, product / product.sum())
-    assert fused.grid is posterior.grid
-
-
-def test_the_scale_of_the_prior_does_not_matter(posterior):
-    a, b = (ProductFuser().fuse([posterior], [None], lambda T, c=c: T[:, 0, 3] * 500 + c) for c in (0.0, 1e5))
-    np.testing.assert_allclose(a.probabilities, b.probabilities, rtol=1e-9)
 
 
 @pytest.mark.parametrize("weights", [0.0, np.zeros(3), np.zeros((4, 1)), np.full(4, np.nan), [0.0, 0.0, np.inf, 0.0]])
@@ -41,13 +28,6 @@ def test_a_prior_without_one_log_weight_per_pose_is_refused(posterior, weights):
 def test_one_touch_needs_no_sensor_pose(posterior):
     for T in (None, T_BASE[1], np.full((4, 4), np.nan)):
         assert np.array_equal(ProductFuser().fuse([posterior], [T]).log_p, posterior.log_p)
-
-
-def test_a_touch_is_divided_by_its_training_distribution(posterior):
-    trained = PosePosterior(posterior.grid, posterior.log_p, np.log([4.0, 3.0, 2.0, 1.0]))
-    ratio = np.array([0.1, 0.2, 0.3, 0.4]) / [4.0, 3.0, 2.0, 1.0]
-    fused = ProductFuser().fuse([trained], [None])
-    np.testing.assert_allclose(fused.probabilities, ratio / ratio.sum(), atol=1e-12)
 
 
 STEP_M = 0.003
@@ -92,6 +72,11 @@ def test_the_product_equals_the_formula_by_hand(box, count, prior):
     fused = ProductFuser(ProductFuser.Options(reach=0.4)).fuse(toys(box, count), T_BASE[:count], prior)
     product = np.array(BY_HAND[count]) * (1 if prior is None else TASK)
     np.testing.assert_allclose(fused.probabilities, product / product.sum(), rtol=0, atol=1e-9)
+
+
+def test_the_kinematic_fuser_makes_all_poses_that_touch_all_sensors_equally_probable(box):
+    fused = KinematicFuser(KinematicFuser.Options(reach=0.4)).fuse(toys(box, 3), T_BASE)
+    np.testing.assert_allclose(fused.probabilities, [0, 0.5, 0.5, 0], atol=1e-12)
 
 
 def test_a_pose_takes_the_probability_of_the_nearest_pose(box):
@@ -143,21 +128,6 @@ def test_very_small_probabilities_neither_vanish_nor_overflow(box):
     assert fused.log_p[1] == pytest.approx(-4000)
 
 
-def test_one_grid_seen_from_another_sensor_pose_is_looked_up(box):
-    """The sensor has moved by one step, so that each pose lies where the pose before it was."""
-    first = toy(box, [0, 1, 2], [0.2, 0.3, 0.5])
-    T_moved = T_BASE[0] @ make_translation([STEP_M, 0, 0])
-    fused = ProductFuser(ProductFuser.Options(reach=0.1)).fuse([first, first], [T_BASE[0], T_moved])
-    np.testing.assert_allclose(fused.probabilities, np.array([0, 0.3 * 0.2, 0.5 * 0.3]) / 0.21, atol=1e-9)
-
-
-def test_no_common_pose_names_the_contact(box):
-    touches = [toy(box, [0, 1, 2], [1.0] * 3), toy(box, [1, 2], [1.0] * 2, 1), toy(box, [0, 9, 11], [1.0] * 3, 2)]
-    left = ProductFuser(ProductFuser.Options(reach=0.1)).fuse(touches, T_BASE)
-    assert isinstance(left, NoPoseLeft)
-    assert not missing(left.reason, "touch 3", 2, "T_base_sensor")
-
-
 def test_doubt_takes_no_logarithm_of_zero_and_keeps_no_pose_without_contact(box):
     with np.errstate(all="raise"):
         ProductFuser().fuse(toys(box, 2), T_BASE[:2])
@@ -191,19 +161,6 @@ def test_contradicting_touches_leave_no_pose_or_are_doubted(box):
 def test_several_touches_need_the_pose_of_each_sensor(posterior, T, values):
     with pytest.raises(ConfigError, match=naming(*values)):
         ProductFuser().fuse([posterior] * 2, T)
-
-
-@pytest.mark.parametrize("options", [{"doubt": -0.01}, {"doubt": 1.0}, {"reach": 0.0}])
-def test_impossible_options_are_refused(options):
-    with pytest.raises(ValidationError, match=next(iter(options))):
-        ProductFuser.Options(**options)
-
-
-def test_an_object_loaded_again_is_the_same_object(make_box):
-    touches = [toy(make_box(0.03, 0.02, 0.012), [0, 1], [0.3, 0.7], sensor) for sensor in (0, 1)]
-    np.testing.assert_allclose(
-        ProductFuser().fuse(touches, T_BASE[:2]).probabilities, np.array([0.09, 0.49]) / 0.58, atol=1e-9
-    )
 
 
 def test_there_must_be_a_touch_and_one_object(posterior, cylinder):
