@@ -8,12 +8,10 @@ object within the band.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from tactile_loc.plugin import (
     Capabilities,
@@ -28,17 +26,13 @@ from tactile_loc.plugin import (
 
 PixelBox = tuple[slice, slice]
 
+MOST_MESHES = 4  # meshes whose search structure is kept
+
 
 class RaycastRenderer(Renderer):
     """Casts one ray through each pixel centre: exact to a fraction of a micrometre, including below overhangs."""
 
     capabilities = Capabilities(exact_undercuts=True)
-
-    class Options(ComponentOptions):
-        """These options do not change the result."""
-
-        rays_per_batch: int = Field(1_000_000, ge=1, le=4_000_000, description="rays cast at once (60 bytes each)")
-        cached_meshes: int = Field(4, ge=1, description="meshes whose search structure is kept")
 
     def __init__(self, options: ComponentOptions | None = None) -> None:
         super().__init__(options)
@@ -52,23 +46,17 @@ class RaycastRenderer(Renderer):
         """
         scene, surface = self._prepare_scene(mesh)
         depth = np.full((len(T_sensor_object), *geometry.shape), np.inf, np.float32)
-        boxes = [
-            _find_pixel_box(surface.find_points_below(geometry.standoff_m + geometry.max_depth_m, T), geometry)
-            for T in T_sensor_object
-        ]
-        for batch in _group_boxes(boxes, self.options.rays_per_batch):
-            rays = [_make_rays(T_sensor_object[i], boxes[i], geometry) for i in batch]
-            hits = _cast(scene, np.concatenate([r.reshape(-1, 6) for r in rays]))
-            ends = np.cumsum([r.size // 6 for r in rays])[:-1]
-            for i, r, z in zip(batch, rays, np.split(hits, ends), strict=True):
-                depth[i][boxes[i]] = z.reshape(r.shape[:2])
+        end = geometry.standoff_m + geometry.max_depth_m
+        for picture, T in zip(depth, T_sensor_object, strict=True):
+            box = _find_pixel_box(surface.find_points_below(end, T), geometry)
+            picture[box] = _cast(scene, _make_rays(T, box, geometry))
         return depth
 
     def _prepare_scene(self, mesh: TriangleMesh) -> tuple[Any, _Surface]:
         """Return the mesh's ray casting scene and edges, built at first use. The last used meshes are kept."""
         prepared = self._meshes.pop(mesh.digest, None) or (_build_scene(mesh), _Surface(mesh))
         self._meshes[mesh.digest] = prepared  # the last used comes last
-        while len(self._meshes) > self.options.cached_meshes:
+        while len(self._meshes) > MOST_MESHES:
             self._meshes.popitem(last=False)
         return prepared
 
@@ -88,7 +76,7 @@ def _build_scene(mesh: TriangleMesh) -> Any:
 
 
 def _cast(scene: Any, rays: Float32) -> Float32:
-    """Return the distances (M,) along the rays (M, 6) to the surface. The distance is inf for a ray without a hit."""
+    """Return the distances (...) along rays (..., 6) to the surface. The distance is inf for a ray without a hit."""
     import open3d
 
     return np.asarray(scene.cast_rays(open3d.core.Tensor.from_numpy(rays))["t_hit"].numpy())
@@ -153,20 +141,3 @@ def _find_span(slopes: NDArray[np.float64], f: float, c: float, size: int) -> sl
     """Return the pixels with centres between the least and the greatest slope, and one more pixel at each end."""
     first, last = np.clip([slopes.min() * f + c - 1.5, slopes.max() * f + c + 1.5], 0, size)
     return slice(int(first), int(np.ceil(last)))
-
-
-def _group_boxes(boxes: list[PixelBox], rays_per_batch: int) -> Iterator[list[int]]:
-    """Yield groups of indices of non-empty boxes. A group of several boxes has at most `rays_per_batch` pixels."""
-    batch: list[int] = []
-    total = 0
-    for i, (rows, columns) in enumerate(boxes):
-        count = (rows.stop - rows.start) * (columns.stop - columns.start)
-        if count == 0:
-            continue
-        if batch and total + count > rays_per_batch:
-            yield batch
-            batch, total = [], 0
-        batch.append(i)
-        total += count
-    if batch:
-        yield batch

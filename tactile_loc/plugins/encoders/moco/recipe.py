@@ -18,7 +18,7 @@ Signal = Literal["binary", "depth"]
 
 @dataclass(frozen=True)
 class Recipe:
-    """All settings that determine the trained network.
+    """All settings that determine the trained network. The defaults train in minutes on two CPU cores.
 
     `signal` selects the network's input: the contact mask alone, or the contact mask and the penetration depth. In each
     epoch, `queries` touches are rendered and used `repeats` times with new noise, `batch` touches in each step. Keys
@@ -26,21 +26,21 @@ class Recipe:
     network's weights. `temperature` (unitless) divides the similarities. `image_px` is the longer side of the input.
     """
 
-    backbone: str
-    channels: int
-    norm: Literal["batch", "group"]
-    signal: Signal
-    image_px: int
-    epochs: int
-    queries: int
-    repeats: int
-    batch: int
-    optimizer: Literal["adamw", "sgd"]
-    rate: float
-    weight_decay: float
-    momentum: float
-    temperature: float
-    refresh: int
+    backbone: str = "small"
+    channels: int = 16
+    norm: Literal["batch", "group"] = "group"
+    signal: Signal = "depth"
+    image_px: int = 64
+    epochs: int = 20
+    queries: int = 3072
+    repeats: int = 4
+    batch: int = 256
+    optimizer: Literal["adamw", "sgd"] = "adamw"
+    rate: float = 2e-3
+    weight_decay: float = 1e-4
+    momentum: float = 0.98
+    temperature: float = 0.07
+    refresh: int = 24
     noise: str = "strong"
     negatives: int = 0
     patience: int = 8
@@ -108,24 +108,7 @@ def make_input_planes(
 
 
 PRESETS = {
-    # minutes on two CPU cores
-    "cpu": Recipe(
-        backbone="small",
-        channels=16,
-        norm="group",
-        signal="depth",
-        image_px=64,
-        epochs=20,
-        queries=3072,
-        repeats=4,
-        batch=256,
-        optimizer="adamw",
-        rate=2e-3,
-        weight_decay=1e-4,
-        momentum=0.98,
-        temperature=0.07,
-        refresh=24,
-    ),
+    "cpu": Recipe(),
     # the paper's network and optimiser, for a GPU
     "paper": Recipe(
         backbone="resnet50",
@@ -139,9 +122,7 @@ PRESETS = {
         batch=128,
         optimizer="sgd",
         rate=0.03,
-        weight_decay=1e-4,
         momentum=0.999,
-        temperature=0.07,
         refresh=0,
     ),
 }

@@ -8,7 +8,7 @@ import logging
 import math
 import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,7 +20,6 @@ from torch import nn
 
 from tactile_loc.plugin import (
     MissingLibraryError,
-    TouchNoise,
     TrainingBatch,
     TrainingError,
     TrainingProblem,
@@ -92,35 +91,6 @@ def open_board(folder: str, epochs_done: int) -> Any:
     return SummaryWriter(Path(folder).expanduser(), purge_step=epochs_done + 1)
 
 
-class QuerySource:
-    """Renders `count` touches for each epoch, while the trainer uses the touches of the previous epoch.
-
-    Processes that train together have different `rank`s, and render different touches.
-    """
-
-    def __init__(self, problem: TrainingProblem, noise: TouchNoise, count: int, seed: int, rank: int = 0) -> None:
-        self.problem, self.noise, self.count, self.seed, self.rank = problem, noise, count, seed, rank
-
-    def epochs(self, first: int, last: int) -> Iterator[TrainingTouches]:
-        """Yield the touches of each epoch from `first` to `last` - 1."""
-        if first >= last:
-            return
-        with ThreadPoolExecutor(1) as ahead:
-            coming = ahead.submit(self._render, [self.seed, first, 0, self.rank], self.count)
-            for epoch in range(first, last):
-                touches = coming.result()
-                if epoch + 1 < last:
-                    coming = ahead.submit(self._render, [self.seed, epoch + 1, 0, self.rank], self.count)
-                yield touches
-
-    def validation(self, count: int) -> TrainingTouches:
-        """Return touches that are not used in training."""
-        return self._render([self.seed, 0, 1], count)
-
-    def _render(self, seed: list[int], count: int) -> TrainingTouches:
-        return self.problem.draw(count, self.noise, np.random.default_rng(seed))
-
-
 VALIDATION_TOUCHES = 256
 VALIDATION_PRESSES = 4
 KEYS_AT_ONCE = 512
@@ -149,7 +119,7 @@ class Trainer:
         self.key_network = copy.deepcopy(self.network).requires_grad_(False)
         self.optimizer = _make_optimizer(recipe, self.network)
         count = self.crew.share(recipe.queries)
-        self.source = QuerySource(problem, make_noise(recipe.noise), count, recipe.seed, self.crew.rank)
+        self.queries, self.noise = count, make_noise(recipe.noise)
         self.batch, self.decoys = min(count, self.crew.share(recipe.batch)), decoys
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0
@@ -164,7 +134,7 @@ class Trainer:
         self._resume()
         self.board = open_board(self.log_folder, self.epoch) if self.log_folder and self.crew.rank == 0 else None
         try:
-            self._run_epochs(self.source.validation(VALIDATION_TOUCHES))
+            self._run_epochs(self._render(VALIDATION_TOUCHES, 0, 1))
         finally:
             if self.board is not None:
                 self.board.close()
@@ -175,7 +145,7 @@ class Trainer:
     def _run_epochs(self, validation: TrainingTouches) -> None:
         with self.problem.progress.task("training the encoder", self.recipe.epochs) as advance:
             advance(self.epoch)
-            for queries in self.source.epochs(self.epoch, self.recipe.epochs):
+            for queries in self._render_epochs():
                 loss = self._train_epoch(queries)
                 if not math.isfinite(loss):
                     self._stop_at_nan()
@@ -186,6 +156,23 @@ class Trainer:
                 if self.stale >= self.recipe.patience:
                     log.info("stopped early: no better validation for %d epochs", self.stale)
                     break
+
+    def _render_epochs(self) -> Iterator[TrainingTouches]:
+        """Yield the touches of each remaining epoch, while those of the next epoch are rendered.
+
+        Processes that train together render different touches.
+        """
+        with ThreadPoolExecutor(1) as ahead:
+            coming: list[Future[TrainingTouches]] = []
+            for epoch in range(self.epoch, self.recipe.epochs):
+                coming.append(ahead.submit(self._render, self.queries, epoch, 0, self.crew.rank))
+                if len(coming) > 1:
+                    yield coming.pop(0).result()
+            for last in coming:
+                yield last.result()
+
+    def _render(self, count: int, *seed: int) -> TrainingTouches:
+        return self.problem.draw(count, self.noise, np.random.default_rng([self.recipe.seed, *seed]))
 
     def _train_epoch(self, queries: TrainingTouches) -> float:
         """Train one epoch. Return the mean loss (unitless), or NaN as soon as a step's loss is NaN."""
