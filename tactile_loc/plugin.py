@@ -56,8 +56,6 @@ if TYPE_CHECKING:
     from tactile_loc.core.runtime.errors import WeightsError as WeightsError, did_you_mean as did_you_mean
 
     # rotations and transforms
-    from tactile_loc.core.geometry.rigid import axis_times_sine as axis_times_sine
-    from tactile_loc.core.geometry.lie import move_covariance as move_covariance
     from tactile_loc.core.geometry.rigid import cross_matrix as cross_matrix, align_to_z as align_to_z, invert as invert
     from tactile_loc.core.geometry.rigid import is_rigid as is_rigid, make_transform as make_transform
     from tactile_loc.core.geometry.rigid import quaternion_to_rotation as quaternion_to_rotation
@@ -70,7 +68,6 @@ if TYPE_CHECKING:
     from tactile_loc.core.geometry.lie import exponential as exponential
 
     # for sensors and renderers
-    from tactile_loc.core.objects.blocks import Blocks as Blocks, make_blocks as make_blocks
     from tactile_loc.core.runtime.compiled import run_in_threads as run_in_threads, njit as njit
     from tactile_loc.core.sensing.contact import bring_to_contact as bring_to_contact
     from tactile_loc.core.sensing.contact import group_rotations as group_rotations
@@ -79,7 +76,6 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.touch import compute_contact_depth as compute_contact_depth
     from tactile_loc.core.sensing.touch import contact_shape_from_array as contact_shape_from_array
     from tactile_loc.core.objects.surface_field import SurfaceField as SurfaceField
-    from tactile_loc.core.objects.surface_field import build_surface_field as build_surface_field
     from tactile_loc.core.sensing.zbuffer import draw_nearest_depths as draw_nearest_depths
 
     # for grids
@@ -129,9 +125,6 @@ if TYPE_CHECKING:
 
     # for fusers
     from tactile_loc.bases.common_poses import CommonPosesFuser as CommonPosesFuser
-    from tactile_loc.bases.common_poses import require_fusable as require_fusable
     from tactile_loc.bases.common_poses import require_sensor_poses as require_sensor_poses
-    from tactile_loc.bases.common_poses import find_common_poses as find_common_poses
-    from tactile_loc.bases.common_poses import compute_prior_weights as compute_prior_weights
 
 __all__, __getattr__, __dir__ = lazy_names(__name__)
