@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from tactile_loc.slots.encoder import TrainingTouches as TrainingTouches
     from tactile_loc.slots.fuser import Fuser as Fuser
     from tactile_loc.slots.grid import GridSampler as GridSampler
-    from tactile_loc.slots.matcher import ExactMatcher as ExactMatcher, Matcher as Matcher
+    from tactile_loc.bases.exact_matcher import ExactMatcher as ExactMatcher
+    from tactile_loc.slots.matcher import Matcher as Matcher
     from tactile_loc.core.poses.priors import Prior as Prior
     from tactile_loc.slots.renderer import Renderer as Renderer
     from tactile_loc.core.sensing.scene import Scene as Scene, View as View

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -21,6 +21,7 @@ from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.slots.fuser import Fuser
 
 Indices = NDArray[np.int64]
+LookUp = Callable[[Poses], Indices]
 
 SAMPLE = 200  # least number of poses by which sensors are ordered
 A_TURN = 10_000  # poses that a prior weighs in one turn
@@ -65,11 +66,11 @@ class CommonPosesFuser(Fuser):
             )
         weights = known_before + self.evidence(posteriors[0], slice(None))
         known = [np.asarray(T, float) for T in T_base_sensor if T is not None]  # a single touch may have None
-        common = find_common_poses([p.grid for p in posteriors], known, self.options.reach, np.isfinite(weights))
-        if isinstance(common, NoPoseLeft):
-            return common
-        total = weights[common.first]
-        for posterior, index in zip(posteriors[1:], common.found[1:], strict=True):
+        found = find_common_poses([p.grid for p in posteriors], known, self.options.reach, np.isfinite(weights))
+        if isinstance(found, NoPoseLeft):
+            return found
+        total = weights[found[0]]
+        for posterior, index in zip(posteriors[1:], found[1:], strict=True):
             total = total + self.evidence(posterior, index)
         if len(total) and not np.isfinite(total).any():
             return NoPoseLeft(
@@ -77,32 +78,8 @@ class CommonPosesFuser(Fuser):
                 f"sensors has probability 0 for one of them; {self.if_contradictory}"
             )
         log_p = np.full(len(first), -np.inf)
-        log_p[common.first] = total
+        log_p[found[0]] = total
         return PosePosterior(first, log_p)
-
-
-@dataclass(frozen=True, eq=False)
-class OtherSensor:
-    """A sensor after the first: its grid, `T_sensor_first` (4, 4), metres, and the radius of its searches, metres."""
-
-    grid: PoseGrid
-    T_sensor_first: NDArray[np.float64]
-    reach_m: float
-
-    def look_up(self, T_first_object: Poses) -> Indices:
-        """Return the index (M,) of this grid's pose nearest to each of the first grid's poses (M, 4, 4).
-
-        The index is -1 if no pose is within `reach_m`.
-        """
-        return self.grid.nearest(self.T_sensor_first @ T_first_object, self.reach_m)[1]
-
-
-@dataclass(frozen=True, eq=False)
-class CommonPoses:
-    """The poses that touch all sensors: indices `first` (K,) in the first grid, and `found` (N, K) in each grid."""
-
-    first: Indices
-    found: NDArray[np.int64]
 
 
 def require_fusable(posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]) -> None:
@@ -159,42 +136,48 @@ def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.flo
 
 def find_common_poses(
     grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float, possible: NDArray[np.bool_]
-) -> CommonPoses | NoPoseLeft:
+) -> Indices | NoPoseLeft:
     """Find which of the first grid's `possible` (N,) poses touch all sensors, in the grid's order.
 
-    In the frame of sensor i, a pose x of the first grid is inv(T_base_sensor_i) @ T_base_sensor_1 @ x. The pose touches
-    sensor i if this sensor's grid has a pose within `reach` mean spacings, up to symmetry. Sensors that exclude many
-    poses are searched first. Returns `NoPoseLeft` if no pose touches all sensors.
+    Returns the indices (S, K) of these K poses in the grid of each of S sensors. In the frame of sensor i, a pose x of
+    the first grid is inv(T_base_sensor_i) @ T_base_sensor_1 @ x. The pose touches sensor i if this sensor's grid has a
+    pose within `reach` mean spacings, up to symmetry. Sensors that exclude many poses are searched first. Returns
+    `NoPoseLeft` if no pose touches all sensors.
     """
     others = _list_others(grids, T_base_sensor, reach)
-    poses, first = grids[0].T_sensor_object, np.flatnonzero(possible)
-    found = np.tile(first, (len(grids), 1))  # correct for the first grid, and for the same grid at the same pose
-    for number in _order_others(others, poses[first]):
-        found[number] = others[number].look_up(poses[first])
+    poses = grids[0].T_sensor_object
+    found = np.tile(np.flatnonzero(possible), (len(grids), 1))  # right for the first's grid at the first's pose
+    for number in _order_others(others, poses[found[0]]):
+        found[number] = others[number](poses[found[0]])
         touching = found[number] >= 0
-        if len(first) and not touching.any():
+        if len(touching) and not touching.any():
             return NoPoseLeft(
-                f"no pose touches all {len(grids)} sensors: {len(first):,} of {len(poses):,} poses are left before "
+                f"no pose touches all {len(grids)} sensors: {len(touching):,} of {len(poses):,} poses are left before "
                 f"touch {number + 1}, and none after it. Check each T_base_sensor (metres, from sensor to base), or "
                 "search all faces with the grid whole or hopf",
                 number,
             )
-        first, found = first[touching], found[:, touching]
-    return CommonPoses(first, found)
+        found = found[:, touching]
+    return found
 
 
-def _list_others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float) -> dict[int, OtherSensor]:
-    """Return the sensors to search, by number: all except the first and sensors with the first's grid and pose."""
-    others: dict[int, OtherSensor] = {}
+def _list_others(grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float) -> dict[int, LookUp]:
+    """Return the look-ups of the sensors to search, by number: all except sensors with the first's grid and pose."""
+    others: dict[int, LookUp] = {}
     for number, (grid, T) in enumerate(zip(grids[1:], T_base_sensor[1:], strict=True), start=1):
         if grid is not grids[0] or not np.array_equal(T, T_base_sensor[0]):
             # a pose is known only to the spacing of the coarser grid; a grid of one pose has no spacing
             spacing_m = max((m for m in (grids[0].spacing_m, grid.spacing_m) if np.isfinite(m)), default=np.inf)
-            others[number] = OtherSensor(grid, invert(T) @ T_base_sensor[0], reach * spacing_m)
+            others[number] = partial(_look_up, grid, invert(T) @ T_base_sensor[0], reach * spacing_m)
     return others
 
 
-def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list[int]:
+def _look_up(grid: PoseGrid, T_sensor_first: Poses, reach_m: float, T_first_object: Poses) -> Indices:
+    """Return the index (M,) of the grid's pose nearest to each of the first sensor's poses (M, 4, 4), or -1 if far."""
+    return grid.nearest(T_sensor_first @ T_first_object, reach_m)[1]
+
+
+def _order_others(others: dict[int, LookUp], T_first_object: Poses) -> list[int]:
     """Return an order of the sensors, judged by a few poses. A sensor that excludes many poses comes early.
 
     Then fewer poses are left to look up in the grids of the later sensors.
@@ -202,7 +185,7 @@ def _order_others(others: dict[int, OtherSensor], T_first_object: Poses) -> list
     if len(T_first_object) <= SAMPLE:
         return list(others)
     some = T_first_object[:: len(T_first_object) // SAMPLE]
-    touching = {number: other.look_up(some) >= 0 for number, other in others.items()}
+    touching = {number: look_up(some) >= 0 for number, look_up in others.items()}
     left, order = np.ones(len(some), bool), []
     while touching:
         order.append(min(touching, key=lambda number: int((touching[number] & left).sum())))

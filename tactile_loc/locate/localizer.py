@@ -11,6 +11,7 @@ from typing import Any, Self, cast
 import numpy as np
 
 from tactile_loc.bases.common_poses import require_sensor_poses
+from tactile_loc.bases.exact_matcher import ExactMatcher
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.places.places import Places
@@ -44,7 +45,6 @@ from tactile_loc.locate.stored_object import load_stored_object
 from tactile_loc.simulate.resting_touches import draw_resting_touches
 from tactile_loc.simulate.touch_simulation import simulate_touches
 from tactile_loc.slots.compatibility import require_compatible
-from tactile_loc.slots.matcher import ExactMatcher
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 

@@ -39,11 +39,11 @@ def test_common_poses_are_the_intersection_of_all_grids(grid):
     T_base_sensor = sensors(4)
     grids = parts(grid, T_base_sensor, keeps)
     possible = x + y < 0.03
-    common = find_common_poses(grids, T_base_sensor, 0.3, possible)
-    assert np.array_equal(common.first, np.flatnonzero(np.all([possible, *keeps], axis=0)))
-    for T, other, found in zip(T_base_sensor, grids, common.found, strict=True):
-        seen = invert(T) @ T_base_sensor[0] @ grid.T_sensor_object[common.first]
-        np.testing.assert_allclose(other.T_sensor_object[found], seen, atol=1e-12)
+    found = find_common_poses(grids, T_base_sensor, 0.3, possible)
+    assert np.array_equal(found[0], np.flatnonzero(np.all([possible, *keeps], axis=0)))
+    for T, other, index in zip(T_base_sensor, grids, found, strict=True):
+        seen = invert(T) @ T_base_sensor[0] @ grid.T_sensor_object[found[0]]
+        np.testing.assert_allclose(other.T_sensor_object[index], seen, atol=1e-12)
 
 
 def test_the_reason_names_the_contact_that_removes_the_last_pose(grid):
@@ -70,6 +70,5 @@ def test_the_contact_that_removes_most_remaining_poses_is_checked_next(grid):
 
 
 def test_no_possible_pose_gives_an_empty_result(grid):
-    common = find_common_poses([grid, grid], sensors(2), 1.5, np.zeros(len(grid), bool))
-    assert common.first.shape == (0,)
-    assert common.found.shape == (2, 0)
+    found = find_common_poses([grid, grid], sensors(2), 1.5, np.zeros(len(grid), bool))
+    assert found.shape == (2, 0)
