@@ -44,7 +44,6 @@ MAX_MAP_BYTES = 256 * 2**20
 class HeightmapRenderer(Renderer):
     """Renders by height maps. This is fastest when many poses share few rotations, as in a pose grid."""
 
-    version = 1
     capabilities = Capabilities(exact_undercuts=False)
 
     class Options(ComponentOptions):

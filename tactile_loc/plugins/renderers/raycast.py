@@ -13,16 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.plugin import (
-    Capabilities,
-    ComponentOptions,
-    Float32,
-    Poses,
-    Renderer,
-    RenderError,
-    SensorGeometry,
-    TriangleMesh,
-)
+from tactile_loc.plugin import ComponentOptions, Float32, Poses, Renderer, RenderError, SensorGeometry, TriangleMesh
 
 PixelBox = tuple[slice, slice]
 
@@ -31,8 +22,6 @@ MOST_MESHES = 4  # meshes whose search structure is kept
 
 class RaycastRenderer(Renderer):
     """Casts one ray through each pixel centre: exact to a fraction of a micrometre, including below overhangs."""
-
-    capabilities = Capabilities(exact_undercuts=True)
 
     def __init__(self, options: ComponentOptions | None = None) -> None:
         super().__init__(options)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from tactile_loc.plugin import Capabilities, Float32, Poses, Renderer, SensorGeometry, TriangleMesh, draw_nearest_depths
+from tactile_loc.plugin import Float32, Poses, Renderer, SensorGeometry, TriangleMesh, draw_nearest_depths
 
 
 class ZBufferRenderer(Renderer):
     """Draws every triangle into every picture: as exact as ray casting, and faster for small meshes."""
-
-    capabilities = Capabilities(exact_undercuts=True)
 
     def render(self, mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
         """Return camera depths (N, H, W), metres, of poses (N, 4, 4) in contact. Depths beyond the band are inf."""

@@ -92,13 +92,6 @@ def test_poses_outside_the_range_have_no_contact_and_most_inside_have():
     assert bring_to_contact(BRICK.mesh, poses, GEOMETRY)[1].mean() > 0.5
 
 
-def test_a_symmetry_of_half_turns_about_the_spin_axis_halves_the_grid():
-    obj = box(0.08, 0.012, 0.01, "x2")
-    grid = make_rotation_grid(obj, 0.006)
-    assert grid.n_psi % 2 == 0
-    assert len(grid.all_representatives()) * 2 == len(grid)
-
-
 @pytest.mark.parametrize("level", [None, 1])
 @pytest.mark.parametrize(("symmetry", "share"), [("zinf", 1.0), ("zinf*x2", 0.5)])
 def test_a_round_part_has_one_rotation_for_each_direction(symmetry, share, level):
@@ -188,13 +181,6 @@ def ring_scheme(nside: int) -> np.ndarray:
     return np.array(found)
 
 
-def largest_pixel_radius(nside: int) -> float:
-    """Radians from a pixel's centre to its farthest corner: the bound that the HEALPix library states."""
-    z, azimuth, rim = 2 / 3, np.pi / (4 * nside), 1 - (1 - 1 / nside) ** 2 / 3
-    a = np.array([np.sqrt(1 - z * z) * np.cos(azimuth), np.sqrt(1 - z * z) * np.sin(azimuth), z])
-    return float(np.arccos(a @ [np.sqrt(1 - rim * rim), 0.0, rim]))
-
-
 def to_nearest(R: np.ndarray, grid: np.ndarray, k: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Angle in radians to, and index of, the k-th nearest grid rotation: by quaternions, of both signs."""
     q = rotation_to_quaternion(grid)
@@ -229,14 +215,3 @@ def test_neighbours_are_at_the_published_spacing(nside, spacing_deg):
     assert 0.93 * spacing_deg < nearest_deg.mean() <= spacing_deg * (1 + 1e-9)
     assert nearest_deg.max() <= spacing_deg * (1 + 1e-9)  # the next spin is never farther away
     assert nearest_deg.min() > 0.8 * spacing_deg
-
-
-@pytest.mark.parametrize("nside", [1, 2, 3, 4])
-def test_every_rotation_lies_within_the_radius_of_a_cell(nside):
-    """Bound the distance by rotating to the pixel's centre, then to the nearest spin.
-
-    The axes are at right angles, so the cosines of the half angles multiply.
-    """
-    bound = 2 * np.arccos(np.cos(largest_pixel_radius(nside) / 2) * np.cos(np.pi / (6 * nside) / 2))
-    angle, _ = to_nearest(draw_rotations(20_000, np.random.default_rng(0)), all_rotations(nside, 6 * nside))
-    assert 0.75 * bound < angle.max() <= bound

@@ -7,33 +7,21 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import RenderError
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
-SPHERE_RADIUS_M = 0.008
-
 
 @pytest.fixture(scope="session")
 def sphere() -> TriangleMesh:
-    ball = trimesh.creation.icosphere(subdivisions=6, radius=SPHERE_RADIUS_M)
+    ball = trimesh.creation.icosphere(subdivisions=6, radius=0.008)
     return TriangleMesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int64))
-
-
-@pytest.fixture(scope="session")
-def inner_radius_m(sphere: TriangleMesh) -> float:
-    """The radius of the largest ball inside the tessellated sphere: its faces lie between this and the true radius."""
-    a, b, c = np.moveaxis(sphere.triangles_m, 1, 0)
-    normal = np.cross(b - a, c - a)
-    return float((np.einsum("fk,fk->f", a, normal) / np.linalg.norm(normal, axis=1)).min())
 
 
 @pytest.fixture(scope="session")
@@ -77,18 +65,3 @@ def exact_renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
     renderer = request.getfixturevalue("new_pyrender")()
     yield renderer
     renderer.close()
-
-
-@pytest.fixture
-def rays() -> Callable[[SensorGeometry], tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Origins and directions (H, W, 3) of a camera's rays at half-integer pixel centres; a unit step is a unit of z."""
-
-    def of(g: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        u, v = np.meshgrid(np.arange(g.width_px) + 0.5, np.arange(g.height_px) + 0.5)
-        x, y = (u - g.cx) / g.fx, (v - g.cy) / g.fy
-        zero, one = np.zeros_like(x), np.ones_like(x)
-        if g.camera == "pinhole":
-            return np.stack([zero, zero, zero], -1), np.stack([x, y, one], -1)
-        return np.stack([x, y, zero], -1), np.stack([zero, zero, one], -1)
-
-    return of

@@ -132,17 +132,6 @@ def test_the_winding_of_faces_does_not_matter(camera, sphere, pressed, new_pyren
     )
 
 
-def test_only_faces_of_unclear_winding_are_drawn_twice(sphere, quad, new_pyrender):
-    from tactile_loc.plugins.renderers.pyrender.gl import choose_faces
-
-    count = len(sphere.vertices_m)
-    both = TriangleMesh(np.r_[sphere.vertices_m, quad.vertices_m], np.r_[sphere.faces, quad.faces + count])
-    inverted = TriangleMesh(sphere.vertices_m, sphere.faces[:, ::-1])
-    assert len(choose_faces(sphere)) == len(sphere.faces)
-    assert len(choose_faces(inverted)) == 2 * len(sphere.faces)
-    assert len(choose_faces(both)) == len(sphere.faces) + 4
-
-
 def test_the_whole_contact_band_is_between_the_clipping_planes(camera, quad, new_pyrender):
     for share, seen in ((0.0, True), (1.0, True), (1.1, False)):
         z = camera.standoff_m + share * camera.max_depth_m

@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_loc.plugin import (
-    Capabilities,
-    ComponentOptions,
-    Float32,
-    Poses,
-    Renderer,
-    RenderError,
-    SensorGeometry,
-    TriangleMesh,
-)
+from tactile_loc.plugin import ComponentOptions, Float32, Poses, Renderer, RenderError, SensorGeometry, TriangleMesh
 
 if TYPE_CHECKING:
     from tactile_loc.plugins.renderers.pyrender.gl import DepthScene, Offscreen
@@ -29,8 +20,6 @@ class PyrenderRenderer(Renderer):
     The OpenGL context is made for the first picture and lives until `close` or the end of the renderer. Only one thread
     at a time can draw with a context, so other threads wait.
     """
-
-    capabilities = Capabilities(exact_undercuts=True)
 
     _offscreen: Offscreen | None = None
     _scene: DepthScene | None = None
