@@ -306,14 +306,16 @@ class Trainer:
 
         if self.crew.rank > 0:
             return
-        tensors = {f"best.{k}": v for k, v in self.best_weights.items()}
-        tensors |= {f"network.{k}": v for k, v in _copy_weights(self.network).items()}
-        tensors |= {f"key.{k}": v for k, v in _copy_weights(self.key_network).items()}
-        for number, state in self.optimizer.state_dict()["state"].items():
-            tensors |= {f"optimizer.{number}.{k}": torch.as_tensor(v).cpu() for k, v in state.items() if v is not None}
+        parts = {"best": self.best_weights, "network": self.network.state_dict(), "key": self.key_network.state_dict()}
+        parts |= {f"optimizer.{number}": state for number, state in self.optimizer.state_dict()["state"].items()}
+        tensors = {
+            f"{part}.{name}": torch.as_tensor(value).detach().cpu().clone().contiguous()
+            for part, state in parts.items()
+            for name, value in state.items()
+            if value is not None
+        }
         progress = {"epoch": self.epoch, "best": self.best, "stale": self.stale}
-        copies = {k: v.clone().contiguous() for k, v in tensors.items()}
-        self.problem.checkpoints.save(lambda path: save_file(copies, path, {"progress": json.dumps(progress)}))
+        self.problem.checkpoints.save(lambda path: save_file(tensors, path, {"progress": json.dumps(progress)}))
 
     def _resume(self) -> None:
         path = self.problem.checkpoints.load() if self.crew.rank == 0 else None
