@@ -39,7 +39,7 @@ def check_output(matcher: Matcher) -> None:
 
 @check("matcher")
 def check_definition(matcher: Matcher) -> None:
-    """Score (j, i) is -1/2 ||query j - row i||^2, on which the posterior's temperature relies. The best row is found."""
+    """A score is -1/2 ||query - row||^2, on which the posterior's temperature relies. The best row is found."""
     _require_defined(matcher, _draw_bank(), _draw_queries(), "a score must be -1/2 ||query - row||^2")
 
 
