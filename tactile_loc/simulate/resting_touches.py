@@ -41,7 +41,8 @@ def draw_resting_touches(
     Raises TouchError if hardly any press makes a touch, and GridError if hardly any pose touches. With `opposed`, also
     raises TouchError for an odd `count`.
     """
-    T_base_object = _draw_rest(rng)
+    beside_m = np.array([IN_FRONT_M, 0.0, 0.0]) + rng.uniform(-REACH_M, REACH_M, 3)
+    T_base_object = make_transform(draw_rotations(1, rng)[0], beside_m)
     if not opposed:
         return rest(simulate_touches(sampler, scene, count, rng, press_depth_m, noise), T_base_object)
     if count % FINGERS:
@@ -93,9 +94,3 @@ def face_each_other(T_sensor_object: NDArray[np.float64]) -> Poses:
     Lengths are in metres. z of the second pose is arbitrary: bring the pose to contact.
     """
     return np.stack([T_sensor_object, FACING @ T_sensor_object])
-
-
-def _draw_rest(rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw the pose (4, 4), metres, of an object at rest in front of a robot's base."""
-    beside_m = rng.uniform(-REACH_M, REACH_M, 3)
-    return make_transform(draw_rotations(1, rng)[0], np.array([IN_FRONT_M, 0.0, 0.0]) + beside_m)

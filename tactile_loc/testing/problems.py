@@ -12,7 +12,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Float32, Poses, make_transform, rotation_about, transform_points
+from tactile_loc.core.geometry.rigid import (
+    Float32,
+    Poses,
+    make_transform,
+    make_translation,
+    rotation_about,
+    transform_points,
+)
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
@@ -98,11 +105,6 @@ def make_cylinder(radius_m: float, z_m: tuple[float, float], sides: int = 16) ->
     return extrude(radius_m * np.column_stack([np.cos(angle), np.sin(angle)]), z_m)
 
 
-def move_mesh(mesh: TriangleMesh, by_m: tuple[float, float, float]) -> TriangleMesh:
-    """Return the mesh shifted by a vector in metres."""
-    return TriangleMesh(mesh.vertices_m + np.array(by_m), mesh.faces)
-
-
 def transform_mesh(mesh: TriangleMesh, T: NDArray[np.float64]) -> TriangleMesh:
     """Return the mesh transformed by T (4, 4), metres."""
     return TriangleMesh(transform_points(T, mesh.vertices_m), mesh.faces)
@@ -138,7 +140,7 @@ def make_stepped_block() -> TriangleMesh:
     """
     body = make_box((-0.008, -0.005, 0.0012), (0.008, 0.005, 0.006))
     boss = make_box((-0.007, -0.004, 0.0), (-0.002, 0.001, 0.002))
-    post = move_mesh(make_cylinder(0.0015, (0.0005, 0.003)), (0.004, -0.0025, 0.0))
+    post = transform_mesh(make_cylinder(0.0015, (0.0005, 0.003)), make_translation([0.004, -0.0025, 0.0]))
     return join_meshes(body, boss, _make_ramp(), post)
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from tactile_loc.slots.component import Component
@@ -61,23 +60,13 @@ def train(encoder: Encoder) -> None:
 
 
 def _run_check(check: Check, component: Component | CommandSpec) -> CheckResult:
-    start = time.perf_counter()
-    problem = _describe_problem(partial(check, component))
-    return CheckResult(check.name, check.demands, problem, time.perf_counter() - start)
-
-
-def _describe_problem(run: Callable[[], None]) -> str:
-    """Run a check. Return the problem in one line, or an empty string if there is none."""
+    """Run a check. Its problem is one line; that of another exception than ContractError has the line of its origin."""
+    start, problem = time.perf_counter(), ""
     try:
-        run()
+        check(component)
     except ContractError as error:
-        return " ".join(str(error).split()) or "the contract is broken"
+        problem = str(error) or "the contract is broken"
     except Exception as error:  # noqa: BLE001 - a plugin's component may raise anything
-        return " ".join(f"{type(error).__name__}: {error} ({_locate_error(error)})".split())
-    return ""
-
-
-def _locate_error(error: Exception) -> str:
-    """Return the place where an exception was raised, such as "refiner.py, line 33"."""
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{Path(last.filename).name}, line {last.lineno}"
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        problem = f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"
+    return CheckResult(check.name, check.demands, " ".join(problem.split()), time.perf_counter() - start)

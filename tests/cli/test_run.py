@@ -162,7 +162,7 @@ def test_the_output_names_the_searched_side_of_the_object(cli, result):
     mesh = load_object(result["object"]["name"]).mesh
     (line,) = [line for line in result["stdout"].splitlines() if line.startswith("searched: the object's side")]
     shown = [float(word) for word in re.search(r"\((.*?)\)", line)[1].split(",")]
-    assert shown == pytest.approx(find_resting_normal(mesh.vertices_m, mesh.centroid_m), abs=0.006)
+    assert shown == pytest.approx(find_resting_normal(mesh), abs=0.006)
     chosen = succeed(cli("run", "--object", "pin", *TINY, *SURE, "-o", "grid.face=+y", "--out", "chosen"))
     assert not [line for line in chosen.stdout.splitlines() if line.startswith("searched: the object's side")]
 

@@ -110,7 +110,7 @@ class FaceGrid(GridSampler):
         """Return the rotation (3, 3) that points the touching face's normal into the sensor, along -z."""
         face = self.options.face
         if face == "auto":
-            normal = _find_resting_normal(obj.mesh)
+            normal = find_resting_normal(obj.mesh)
         elif face in SIDES:
             normal = SIDES[face]
         else:
@@ -118,14 +118,9 @@ class FaceGrid(GridSampler):
         return align_to_z(-normal)
 
 
-@lru_cache(maxsize=8)
-def _find_resting_normal(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Return the normal (3,) of a mesh's resting side. It is cached, because poses may be drawn a few at a time."""
-    return find_resting_normal(mesh.vertices_m, mesh.centroid_m)
-
-
-def find_resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the outward normal (3,), unitless, of the side on which the object's centroid lies lowest.
+@lru_cache(maxsize=8)  # poses may be drawn a few at a time
+def find_resting_normal(mesh: TriangleMesh) -> NDArray[np.float64]:
+    """Return the outward normal (3,), unitless, of the side on which a mesh's centroid lies lowest.
 
     This is the facet of the convex hull whose plane is nearest to the centroid. The object is stable on this facet.
     Among equally near facets, the one whose normal has the greatest x (then y, then z) is chosen.
@@ -133,7 +128,7 @@ def find_resting_normal(vertices_m: NDArray[np.float64], centroid_m: NDArray[np.
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        planes = ConvexHull(vertices_m - centroid_m).equations
+        planes = ConvexHull(mesh.vertices_m - mesh.centroid_m).equations
     except QhullError as error:
         raise GridError("the object is flat and has no resting face; set `face` to +x, -x, +y, -y, +z or -z") from error
     heights = np.round(-planes[:, 3], 7)

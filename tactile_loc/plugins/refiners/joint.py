@@ -38,14 +38,11 @@ class JointRefiner(Refiner):
 
     def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
         """Refine candidates against several touches. A candidate's own pose is kept if it fits better."""
-        return self._refine(views, candidates, None)
+        return self.refine_with_prior(views, candidates, None)
 
     def refine_with_prior(
-        self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior
+        self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior | None
     ) -> list[RefinedPose]:
         """Refine candidates against several touches. The prior decides where the touches leave a pose open."""
-        return self._refine(views, candidates, prior)
-
-    def _refine(self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior | None) -> list[RefinedPose]:
         poses = np.array([candidate.T_sensor_object for candidate in candidates]).reshape(-1, 4, 4)
         return JointRegistration(self.options).refine(views, poses, prior)

@@ -34,7 +34,7 @@ def test_the_named_side_points_into_the_sensor(pinhole, box, side):
 def test_auto_chooses_the_face_nearest_to_the_centroid(pinhole, make_object, shift_m):
     """For a 30 x 20 x 12 mm box, this is one of the two largest faces: the one with the greater normal."""
     obj = wedge_shaped(make_object, shift_m)
-    np.testing.assert_allclose(find_resting_normal(obj.mesh.vertices_m, obj.mesh.centroid_m), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(find_resting_normal(obj.mesh), [0, 0, 1], atol=1e-9)
     assert np.array_equal(face("auto").sample(obj, pinhole, 0.01), face("+z").sample(obj, pinhole, 0.01))
 
 
@@ -46,7 +46,7 @@ def test_auto_chooses_the_side_of_a_tetrahedron_nearest_to_the_centroid():
     corner = vertices[[0, 0, 0, 1]]
     distances = np.einsum("nk,nk->n", normals, corner - mesh.centroid_m)
     assert (distances > 0).all()
-    found = find_resting_normal(mesh.vertices_m, mesh.centroid_m)
+    found = find_resting_normal(mesh)
     np.testing.assert_allclose(found, normals[distances.argmin()], atol=1e-9)
 
 
