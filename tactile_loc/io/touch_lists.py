@@ -114,9 +114,10 @@ def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTo
     touches = []
     for number, table in enumerate(tables, start=1):
         with name_errors(f"{path}, touch {number}", _TouchTable, table, "a touch", TouchError):
-            touch = _read_listed(_TouchTable(**table), path.parent, mount, of_flange)
-            _require_pose(touch, len(tables) > 1, of_flange)
-            touches.append(touch)
+            touches.append(_read_listed(_TouchTable(**table), path.parent, mount, of_flange))
+            if touches[-1].T_base_sensor is None and len(tables) > 1 and not of_flange:
+                advice = name_pose_keys("T_base_sensor")
+                raise ValueError(f"several touches need the sensor's pose, which is missing; {advice}")
     return tuple(touches)
 
 
@@ -147,8 +148,15 @@ def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange
     if not os.path.isfile(file):
         raise ValueError(f"there is no file {file}; check the path, which is relative to the list")
     T, F = keys.read_pose("T_base_sensor"), to_array(keys.T_base_flange)
-    used = None if of_flange else _choose_mount(keys, folder, mount)
-    if used is not None and F is not None:
+    used = None
+    if F is None and keys.mount is not None:
+        raise ValueError("mount has no effect without T_base_flange; give the flange's pose, too")
+    if F is None and of_flange:
+        raise ValueError("the flange's pose is missing; give T_base_flange for each touch")
+    if F is not None and not of_flange:
+        used = mount if keys.mount is None else read_mount(folder / keys.mount)
+        if used is None:
+            raise ValueError('T_base_flange needs the sensor\'s mount; give its file, as mount = "mount.toml"')
         if T is not None:
             raise ValueError("the sensor's pose is given twice; leave out T_base_flange, or the pose of the sensor")
         T = F @ used.T_flange_sensor
@@ -167,24 +175,6 @@ def _read_listed(keys: _TouchTable, folder: Path, mount: Mount | None, of_flange
         keys.kind,
         to_array(keys.T_sensor_object),
     )
-
-
-def _choose_mount(keys: _TouchTable, folder: Path, mount: Mount | None) -> Mount | None:
-    """Return the mount of the touch, or else the mount of the list, or None if the touch has no flange pose."""
-    if keys.T_base_flange is None:
-        if keys.mount is not None:
-            raise ValueError("mount has no effect without T_base_flange; give the flange's pose, too")
-        return None
-    return mount if keys.mount is None else read_mount(folder / keys.mount)
-
-
-def _require_pose(touch: ListedTouch, several: bool, of_flange: bool) -> None:
-    if of_flange and touch.T_base_flange is None:
-        raise ValueError("the flange's pose is missing; give T_base_flange for each touch")
-    if not of_flange and touch.T_base_flange is not None and touch.mount is None:
-        raise ValueError('T_base_flange needs the sensor\'s mount; give its file, as mount = "mount.toml"')
-    if touch.T_base_sensor is None and several and not of_flange:
-        raise ValueError(f"several touches need the sensor's pose, which is missing; {name_pose_keys('T_base_sensor')}")
 
 
 def _find_sensor(sensor: str | None, folder: Path) -> str | None:

@@ -41,10 +41,7 @@ def test_an_approach_is_a_pose_in_the_base_or_a_motion_from_the_last_touch(liste
     ("text", "values"),
     [
         ("", ("poses.toml", "[[approach]]")),
-        ("approach = 3\n", ("poses.toml", "[[approach]]")),
-        ("[[aproach]]\n", ("poses.toml", "'aproach'", "'approach'")),
         ("[[approach]]\n", ("approach 1", "T_base_sensor", "xyz_mm", "T_sensor_next")),
-        ("[[approach]]\nxyz_mm = [1, 2, 3]\n", ("approach 1", "T_base_sensor", "xyz_mm", "quaternion_wxyz")),
         ("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\ncost = 0\n", ("approach 1", "cost", 0)),
         ("[[approach]]\nxyz_mm = [1, 2, 3]\nrpy_deg = [0, 0, 0]\nspeed = 0\n", ("approach 1", "'speed'", "travel_mm")),
         (

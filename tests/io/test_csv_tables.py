@@ -70,5 +70,7 @@ def test_errors_have_the_class_and_the_noun_of_the_caller(tmp_path):
     path.write_text("a,b\n")
     with pytest.raises(FrameError, match=naming("table.csv", "sensor pose")):
         read_table(path, "sensor pose", FrameError)
-    with pytest.raises(TouchError, match=naming("none.csv")):
-        read_table(tmp_path / "none.csv", "touch", TouchError)
+    (tmp_path / "bytes.csv").write_bytes(b"\xff\x81")
+    for name, reason in (("none.csv", "none.csv"), ("bytes.csv", "UTF-8")):
+        with pytest.raises(TouchError, match=naming(name, reason)):
+            read_table(tmp_path / name, "touch", TouchError)

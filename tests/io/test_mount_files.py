@@ -48,7 +48,6 @@ def test_the_error_of_a_rotation_grows_with_the_distance():
     ("text", "values"),
     [
         ("", ("T_flange_sensor", "xyz_mm", "rpy_deg")),
-        ("xyz_mm = [0, 0, 0]\n", ("T_flange_sensor", "xyz_mm", "rpy_deg")),
         (f"T_flange_sensor = {(2 * np.eye(4)).tolist()}\n", ("T_flange_sensor", "rigid")),
         ("T_sensor_flange = 3\n", ("'T_sensor_flange'", "'T_flange_sensor'")),
         (f"T_flange_sensor = {X.tolist()}\ncovariance = [[1]]\n", ("covariance", "[[1]]")),

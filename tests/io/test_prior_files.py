@@ -85,7 +85,6 @@ def test_a_prior_in_the_base_frame_needs_the_sensors_pose_and_one_in_the_sensors
         ('kind = "gausian"\n', ("'gausian'", "'gaussian'")),
         ("kind = [1]\n", ("kind", "[1]", "gaussian")),
         (GAUSSIAN, ("T", "xyz_mm", "rpy_deg", "quaternion_wxyz")),
-        (GAUSSIAN + "xyz_mm = [0, 0, 0]\n", ("T", "xyz_mm", "rpy_deg", "quaternion_wxyz")),
         (GAUSSIAN + POSE + "rotation_std = 3\n", ("'gaussian'", "'rotation_std'", "'rotation_std_deg'")),
         (GAUSSIAN + POSE + "rotation_std_deg = 0\n", ("rotation_std_deg", 0)),
         (GAUSSIAN.replace("4", "inf") + POSE, ("translation_std_mm", "inf")),
