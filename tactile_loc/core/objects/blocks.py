@@ -19,12 +19,11 @@ TRIANGLES = 24  # largest number of triangles per block
 class Blocks(NamedTuple):
     """N items with C corners each, in B blocks of neighbours, in any unit of length.
 
-    `corners` (N, C, 3) are sorted by blocks. `order` (N,) are the items' original numbers. Block b has the items from
-    starts[b] to starts[b + 1]. They are inside a sphere with centre centres[b] (3,) and radius radii[b].
+    `corners` (N, C, 3) are sorted by blocks. Block b has the items from starts[b] to starts[b + 1]. They are inside a
+    sphere with centre centres[b] (3,) and radius radii[b].
     """
 
     corners: NDArray[np.float64]
-    order: NDArray[np.int64]
     starts: NDArray[np.int64]
     centres: NDArray[np.float64]
     radii: NDArray[np.float64]
@@ -42,7 +41,7 @@ def make_blocks(corners: NDArray[np.float64], most: int) -> Blocks:
     high = np.maximum.reduceat(corners.max(axis=1), starts[:-1])
     centres = (low + high) / 2
     far = np.linalg.norm(corners - np.repeat(centres, np.diff(starts), axis=0)[:, None], axis=2).max(axis=1)
-    return Blocks(corners, order, starts, centres, np.maximum.reduceat(far, starts[:-1]) * (1 + 1e-9))
+    return Blocks(corners, starts, centres, np.maximum.reduceat(far, starts[:-1]) * (1 + 1e-9))
 
 
 @lru_cache(maxsize=16)

@@ -35,9 +35,9 @@ class Observed(NamedTuple):
     - the four numbers of the sensing rectangle;
     - the weight, 1/mm^2, of a surface sample that reaches into the gel.
 
-    A row of `images` (Q, 4) describes a square of four neighbouring pixels. Its first number is the least z in the
+    A row of `images` (Q, 3) describes a square of four neighbouring pixels. Its first number is the least z in the
     square: nothing between the pixels' centres is nearer to the camera. The number is NaN if a pixel is not observed.
-    Without contact, it is the z of the gel, negated. The other three numbers are x, y, z of the nearest contact; inf if
+    Without contact, it is the z of the gel, negated. The other two numbers are x and y of the nearest contact; inf if
     nothing is in contact. Touch i has sizes[i] (height, width) squares, in the rows from offsets[i].
     """
 
@@ -66,7 +66,7 @@ def observe(
     P, n, w, slack = (np.concatenate([one.cloud[k] for one in each]) for k in range(4))
     sizes = np.array([one.image.shape[:2] for one in each])
     starts = np.cumsum([0, *(len(one.cloud[0]) for one in each)])
-    images = np.concatenate([one.image.reshape(-1, 4) for one in each])
+    images = np.concatenate([one.image.reshape(-1, 3) for one in each])
     offsets = np.cumsum([0, *sizes.prod(axis=1)[:-1]])
     cameras, middles = np.stack([one.camera for one in each]), np.stack([one.middle for one in each])
     return Observed(P, n, w, slack, starts, middles, cameras, images, sizes, offsets)
@@ -139,7 +139,7 @@ def _mask_cloud_mm(
 
 
 def _image_mm(surface: ContactShape, geometry: SensorGeometry, gel_mm: Floats) -> NDArray[np.float32]:
-    """Return the rows of `Observed.images` for one touch, as an image (H - 1, W - 1, 4), mm.
+    """Return the rows of `Observed.images` for one touch, as an image (H - 1, W - 1, 3), mm.
 
     `gel_mm` is the z, mm, of the undeformed gel, one number or (H, W).
     """
@@ -149,7 +149,7 @@ def _image_mm(surface: ContactShape, geometry: SensorGeometry, gel_mm: Floats) -
     z_m = np.asarray(surface.depth_m + geometry.full_penetration_m, float)
     if surface.press_slack_m:
         z_m = z_m - surface.press_slack_m * contact
-    image = np.full((geometry.height_px - 1, geometry.width_px - 1, 4), np.inf, np.float32)
+    image = np.full((geometry.height_px - 1, geometry.width_px - 1, 3), np.inf, np.float32)
     lowest = _find_least(np.where(contact, (z_m * MILLI).astype(np.float32), np.float32(np.inf)))
     free = _find_least(np.broadcast_to(gel_mm, geometry.shape))
     known = _find_least(geometry.observed_mask)
@@ -157,9 +157,8 @@ def _image_mm(surface: ContactShape, geometry: SensorGeometry, gel_mm: Floats) -
     if contact.any():
         nearest = distance_transform_edt(~contact, return_distances=False, return_indices=True)
         rows, columns = nearest[:, :-1, :-1]
-        near_m, (x, y) = z_m[rows, columns], geometry.pixel_slopes
-        k = near_m if geometry.is_pinhole else 1.0
-        image[..., 1:] = np.stack([x[columns] * k, y[rows] * k, near_m], axis=-1) * MILLI
+        k, (x, y) = z_m[rows, columns] if geometry.is_pinhole else 1.0, geometry.pixel_slopes
+        image[..., 1:] = np.stack([x[columns] * k, y[rows] * k], axis=-1) * MILLI
     return image
 
 

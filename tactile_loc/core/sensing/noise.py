@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, make_transform
+from tactile_loc.core.geometry.rigid import Poses, make_transform, vector_to_rotation
 from tactile_loc.core.runtime.errors import ConfigError, advise_choice
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
@@ -234,12 +234,10 @@ class TouchNoise:
         The error rotates the sensor about the centre of its sensing rectangle. It therefore does not depend on the
         object frame or the standoff. The returned poses are not brought to contact.
         """
-        from scipy.spatial.transform import Rotation
-
         if not self.misplaces:
             return T_sensor_object.copy()
         count = len(T_sensor_object)
-        R = Rotation.from_rotvec(self.sensor_rad * rng.normal(size=(count, 3))).as_matrix()
+        R = vector_to_rotation(self.sensor_rad * rng.normal(size=(count, 3)))
         shift = self.sensor_m * rng.normal(size=(count, 3))
         x0, x1, y0, y1 = geometry.rectangle
         centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, geometry.standoff_m])
