@@ -1,7 +1,5 @@
 """Points or triangles in blocks of neighbours. A sphere bounds each block, so that far blocks can be skipped."""
 
-# mypy: disable-error-code="no-untyped-def,no-untyped-call"
-
 from __future__ import annotations
 
 from functools import lru_cache
@@ -11,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.runtime.compiled import njit
 
 TRIANGLES = 24  # largest number of triangles per block
 
@@ -34,9 +31,17 @@ def make_blocks(corners: NDArray[np.float64], most: int) -> Blocks:
 
     A larger block is split in two halves along its longest side.
     """
-    order, starts = np.arange(len(corners)), np.empty(len(corners) + 1, np.int64)
-    starts = starts[: split_into_blocks(corners.mean(axis=1), most, order, starts) + 1]
-    corners = np.ascontiguousarray(corners[order], float)
+    middles, blocks, waiting = corners.mean(axis=1), [], [np.arange(len(corners))]
+    while waiting:
+        some = waiting.pop()
+        if len(some) <= most:
+            blocks.append(some)
+            continue
+        longest = np.ptp(middles[some], axis=0).argmax()
+        some = some[np.argsort(middles[some, longest], kind="stable")]
+        waiting += [some[len(some) // 2 :], some[: len(some) // 2]]
+    starts = np.cumsum([0, *map(len, blocks)])
+    corners = np.ascontiguousarray(corners[np.concatenate(blocks)], float)
     low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
     high = np.maximum.reduceat(corners.max(axis=1), starts[:-1])
     centres = (low + high) / 2
@@ -67,32 +72,3 @@ class NearestTriangles(NamedTuple):
     nearest: NDArray[np.int32]
     beside: NDArray[np.int32]
     ends: NDArray[np.int64]
-
-
-@njit
-def split_into_blocks(middles, most, order, starts):
-    """Sort the numbers `order` (N,) of items with `middles` (N, 3) by blocks of at most `most` items.
-
-    Block b has the items from starts[b] to starts[b + 1]. Returns the number of blocks.
-    """
-    waiting = [(0, len(order))]
-    count = 0
-    starts[0] = 0
-    while len(waiting) > 0:
-        first, last = waiting.pop()
-        if last - first <= most:
-            count += 1
-            starts[count] = last
-            continue
-        some = order[first:last].copy()
-        longest, side = -1.0, 0
-        for axis in range(3):
-            values = middles[some, axis]
-            length = values.max() - values.min()
-            if length > longest:
-                longest, side = length, axis
-        order[first:last] = some[np.argsort(middles[some, side], kind="mergesort")]
-        middle = first + (last - first) // 2
-        waiting.append((middle, last))
-        waiting.append((first, middle))
-    return count

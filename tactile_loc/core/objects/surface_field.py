@@ -51,7 +51,9 @@ class SurfaceField:
         first, sides = np.ascontiguousarray(corners[:, 0]), corners[:, 1:] - corners[:, :1]
         squared_m2 = np.full(nearest.shape, np.inf, np.float32)
         triangles = NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners))
-        carry(triangles, reach_m, squared_m2)
+        boxes = np.hstack([first + np.minimum(0, sides.min(axis=1)), first + np.maximum(0, sides.max(axis=1))])
+        _mark_crossed(triangles, boxes, squared_m2)
+        _carry(triangles, boxes, reach_m, squared_m2, np.argwhere(nearest >= 0).astype(np.int32))
         distances = np.minimum(np.rint(np.sqrt(squared_m2) * np.float32(FAR / reach_m)), FAR).astype(np.uint8)
         return cls(triangles, reach_m, distances)
 
@@ -255,26 +257,31 @@ def find_closest_point(x, y, z, f, corners, sides):
 
 
 @njit
-def carry(triangles, reach, squared):
-    """Fill `triangles.nearest`, first in the cells that triangles cross, then outwards cell by cell.
+def _mark_crossed(triangles, boxes, squared):
+    """Assign each triangle to the cells within two cell sides of its box (F, 6): see `_carry`."""
+    low, cell, nearest = triangles.low, triangles.cell, triangles.nearest
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    for f in range(len(boxes)):
+        for m in range(3):
+            first[m] = max(0, math.floor((boxes[f, m] - low[m]) / cell) - 1)
+            last[m] = min(nearest.shape[m] - 1, math.floor((boxes[f, m + 3] - low[m]) / cell) + 1)
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                for k in range(first[2], last[2] + 1):
+                    _assign((i, j, k), f, triangles, boxes, 4.0 * cell * cell, squared)
+
+
+@njit
+def _carry(triangles, boxes, reach, squared, wave):
+    """Fill `triangles.nearest` outwards from the cells `wave` (W, 3), cell by cell.
 
     Also fill `squared` (X, Y, Z) with the squared distances to these triangles, where it is infinite at the start.
+    `boxes` (F, 6) are the least and the greatest coordinates of each triangle.
     """
-    corners, sides, nearest = triangles.corners, triangles.sides, triangles.nearest
-    low, cell = triangles.low, triangles.cell
+    nearest, count = triangles.nearest, len(wave)
     X, Y, Z = nearest.shape
-    boxes = _find_boxes(corners, sides)
-    count = _mark_crossed(triangles, boxes, squared)
-    wave = np.empty((count, 3), np.int32)
-    count = 0
-    for i in range(X):
-        for j in range(Y):
-            for k in range(Z):
-                if nearest[i, j, k] >= 0:
-                    wave[count, 0], wave[count, 1], wave[count, 2] = i, j, k
-                    count += 1
     queued = np.zeros(nearest.shape, np.int16)
-    for layer in range(1, 4 * math.ceil(reach / cell) + 2):
+    for layer in range(1, 4 * math.ceil(reach / triangles.cell) + 2):
         after, ahead = np.empty((6 * count, 3), np.int32), 0
         for n in range(count):
             f = nearest[wave[n, 0], wave[n, 1], wave[n, 2]]
@@ -282,70 +289,36 @@ def carry(triangles, reach, squared):
                 i, j, k = wave[n, 0] + SIDES[s, 0], wave[n, 1] + SIDES[s, 1], wave[n, 2] + SIDES[s, 2]
                 if i < 0 or j < 0 or k < 0 or i >= X or j >= Y or k >= Z or nearest[i, j, k] == f:
                     continue
-                x, y, z = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
-                least = min(squared[i, j, k], reach * reach)
-                if _is_farther(x, y, z, f, triangles, boxes, least):
-                    continue
-                d = _measure_squared_distance(x, y, z, f, corners, sides)
-                if d < least:
-                    squared[i, j, k], nearest[i, j, k] = d, f
-                    if queued[i, j, k] != layer:
-                        queued[i, j, k] = layer
-                        after[ahead, 0], after[ahead, 1], after[ahead, 2] = i, j, k
-                        ahead += 1
+                if _assign((i, j, k), f, triangles, boxes, reach * reach, squared) and queued[i, j, k] != layer:
+                    queued[i, j, k] = layer
+                    after[ahead, 0], after[ahead, 1], after[ahead, 2] = i, j, k
+                    ahead += 1
         wave, count = after, ahead
         if count == 0:
             break
 
 
-@njit
-def _find_boxes(corners, sides):
-    """Return the least and the greatest coordinates (F, 6) of triangles."""
-    boxes = np.empty((len(corners), 6))
-    for f in range(len(corners)):
-        for m in range(3):
-            boxes[f, m] = corners[f, m] + min(0.0, sides[f, 0, m], sides[f, 1, m])
-            boxes[f, m + 3] = corners[f, m] + max(0.0, sides[f, 0, m], sides[f, 1, m])
-    return boxes
-
-
-@njit
-def _mark_crossed(triangles, boxes, squared):
-    """Assign each triangle to the cells within two cell sides of it. Return how many cells have a triangle."""
-    corners, sides, nearest = triangles.corners, triangles.sides, triangles.nearest
-    low, cell = triangles.low, triangles.cell
-    first, last, count = np.empty(3, np.int64), np.empty(3, np.int64), 0
-    near = 4.0 * cell * cell
-    for f in range(len(corners)):
-        for m in range(3):
-            first[m] = max(0, math.floor((boxes[f, m] - low[m]) / cell) - 1)
-            last[m] = min(nearest.shape[m] - 1, math.floor((boxes[f, m + 3] - low[m]) / cell) + 1)
-        for i in range(first[0], last[0] + 1):
-            x = low[0] + (i + 0.5) * cell
-            for j in range(first[1], last[1] + 1):
-                y = low[1] + (j + 0.5) * cell
-                for k in range(first[2], last[2] + 1):
-                    z = low[2] + (k + 0.5) * cell
-                    least = min(squared[i, j, k], near)
-                    if _is_farther(x, y, z, f, triangles, boxes, least):
-                        continue
-                    d = _measure_squared_distance(x, y, z, f, corners, sides)
-                    if d < least:
-                        count += nearest[i, j, k] < 0
-                        squared[i, j, k], nearest[i, j, k] = d, f
-    return count
-
-
 @njit(fast=True)
-def _is_farther(x, y, z, f, triangles, boxes, least):
-    """Return whether the plane or the box of triangle f shows that its squared distance is at least `least`."""
-    corners, normals = triangles.corners, triangles.normals
-    if _measure_off(x, y, z, f, corners, normals) >= least:
-        return True
+def _assign(at, f, triangles, boxes, most, squared):
+    """Assign triangle f to the cell `at` if it is nearer than before, and nearer than the square root of `most`.
+
+    Return whether it is.
+    """
+    (i, j, k), low, cell, corners = at, triangles.low, triangles.cell, triangles.corners
+    x, y, z = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
+    least = min(squared[i, j, k], most)
+    if _measure_off(x, y, z, f, corners, triangles.normals) >= least:  # the plane of the triangle is farther
+        return False
     a = max(0.0, boxes[f, 0] - x, x - boxes[f, 3])
     b = max(0.0, boxes[f, 1] - y, y - boxes[f, 4])
     c = max(0.0, boxes[f, 2] - z, z - boxes[f, 5])
-    return a * a + b * b + c * c >= least
+    if a * a + b * b + c * c >= least:  # the box around the triangle is farther
+        return False
+    d = _measure_squared_distance(x, y, z, f, corners, triangles.sides)
+    if d >= least:
+        return False
+    squared[i, j, k], triangles.nearest[i, j, k] = d, f
+    return True
 
 
 @njit(fast=True)
