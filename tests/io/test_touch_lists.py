@@ -90,6 +90,9 @@ def test_the_sensors_pose_follows_from_the_flanges_pose_and_the_mount(folder):
     (folder / "mount.toml").unlink()
     of_flange = read_touch_list(path, of_flange=True)
     np.testing.assert_array_equal([touch.T_base_flange for touch in of_flange], [T, T])
+    (folder / "lacks.toml").write_text('[[touch]]\npath = "a.npz"\n')
+    with pytest.raises(TouchError, match=naming("touch 1", "T_base_flange")):
+        read_touch_list(folder / "lacks.toml", of_flange=True)
     with pytest.raises(ConfigError, match=naming(path.name, "mount.toml")):
         read_touch_list(path)
 

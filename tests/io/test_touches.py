@@ -122,6 +122,7 @@ def test_texts_and_numbers_may_be_bytes_or_arrays_of_one_element(tmp_path, depth
     [
         ({"unit": ["m", "mm"]}, ["unit"]),
         ({"unit": 3.0}, ["unit"]),
+        ({"press_depth": np.zeros(10**4)}, ["press_depth", "save a number"]),
         ({"unit": np.bytes_(b"\xb5m")}, ["unit"]),
         ({"unit": "furlong"}, ["furlong"]),
         ({"kind": "depth"}, ["'depth'", "indentation"]),

@@ -93,6 +93,7 @@ def test_an_array_that_would_fill_the_memory_is_refused(tmp_path):
     assert path.stat().st_size < 10**4
     with zipfile.ZipFile(path) as file, zipfile.ZipFile(tmp_path / "other.npz", "w", zipfile.ZIP_BZIP2) as other:
         other.writestr("array.npy", file.read("array.npy"))
-    for name in ("codes.npz", "other.npz"):
-        with pytest.raises(ValueError, match=r"limit|deflated"):
-            load_npz(tmp_path / name, most=10**6)
+    with pytest.raises(ValueError, match="limit"):
+        load_npz(path, most=10**6)
+    with pytest.raises(ValueError, match="deflated"):  # it may unpack to more than it states
+        load_npz(tmp_path / "other.npz")
