@@ -40,11 +40,6 @@ def test_code_reads_each_capability_and_only_declared_ones():
     assert sorted(read()) == sorted(DECLARED)
 
 
-def test_the_search_finds_reads_and_ignores_declarations():
-    source = "class A:\n    capabilities = Capabilities(places=True)\nif a.b.capabilities.refines: capabilities.weights"
-    assert set(read_in(source)) == {"refines", "weights"}
-
-
 def test_each_capability_is_documented():
     text = Capabilities.__doc__ or ""
     assert [f.name for f in dataclasses.fields(Capabilities) if f"`{f.name}`" not in text] == []

@@ -261,15 +261,12 @@ def test_an_added_class_is_chosen_like_a_built_in_one():
         registry().create("refiner", "still", {"rounds": 3})
 
 
-def test_a_class_added_again_replaces_the_earlier_one():
+def test_an_added_class_replaces_an_earlier_one_and_no_class_of_a_package():
     registry().add(Still, "still")
     again = type("Still", (Still,), {"__module__": Still.__module__})  # as if the cell of a notebook ran again
     registry().add(again, "still")
     assert registry().names("refiner").count("still") == 1
     assert registry().load("refiner", "still") is again
-
-
-def test_a_class_cannot_be_added_under_the_name_of_a_package():
     with pytest.raises(PluginConflictError, match="tactile-loc"):
         registry().add(Still, "joint")
     assert registry().load("refiner", "joint") is not Still
