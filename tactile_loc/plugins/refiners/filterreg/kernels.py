@@ -74,7 +74,7 @@ def _expect(x, n, mixture):
 
 
 @njit(fast=True)
-def add_equations(first, last, cloud, candidates, mixture, along, result):
+def add_equations(first, last, cloud, candidates, mixture, result):
     """Add to the normal equations `result` (K, 6, 7) of the candidates `which` (K,) from first to last.
 
     Candidate c has the points from starts[c] to starts[c + 1], moved by T[c] (4, 4). Candidates rotate about `centres`
@@ -84,17 +84,18 @@ def add_equations(first, last, cloud, candidates, mixture, along, result):
     for k in range(first, last):
         c = which[k]
         some = slice(starts[c], starts[c + 1])
-        _add_equations(points[some], normals[some], T[c], centres[k], mixture, along, result[k])
+        _add_equations(points[some], normals[some], T[c], centres[k], mixture, result[k])
 
 
 @njit(fast=True)
-def _add_equations(points, normals, T, centre, mixture, along, result):
+def _add_equations(points, normals, T, centre, mixture, result):
     """Add the equations (6, 7) of one candidate: the matrix and the right-hand side.
 
-    The cost of a point at x is (n . (x - y))^2, with the weighted mean normal n and point y of the E step. `along` (0
-    to 1) blends this cost with |x - y|^2. The weight of a point is the probability that it is not an outlier.
+    The cost of a point at x is (n . (x - y))^2, with the weighted mean normal n and point y of the E step. Its
+    derivative by the twist is (lever x n, n), where the lever is x - centre. The weight of a point is the probability
+    that it is not an outlier.
     """
-    x, n, A, g = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(3)
+    x, n, row = np.empty(3), np.empty(3), np.empty(6)
     for i in range(len(points)):
         for a in range(3):
             x[a] = T[a, 0] * points[i, 0] + T[a, 1] * points[i, 1] + T[a, 2] * points[i, 2] + T[a, 3]
@@ -102,27 +103,12 @@ def _add_equations(points, normals, T, centre, mixture, along, result):
         m, d0, d1, d2, n0, n1, n2 = _expect(x, n, mixture)
         if m > 0.0:
             trust = 1.0 / (m + mixture.outlier)
-            apart, mean = (d0, d1, d2), (n0 / m, n1 / m, n2 / m)
-            off = mean[0] * d0 + mean[1] * d1 + mean[2] * d2
+            row[3], row[4], row[5] = n0 / m, n1 / m, n2 / m
             for a in range(3):
-                for b in range(3):
-                    A[a, b] = trust * (1.0 - along) * m * mean[a] * mean[b]
-                A[a, a] += trust * along * m
-                g[a] = trust * ((1.0 - along) * off * mean[a] + along * apart[a])
-            _add(x - centre, A, g, result)
-
-
-@njit(fast=True)
-def _add(lever, A, g, result):
-    """Add J^T A J and -J^T g to the equations, J = [-[lever]x, 1] (3, 6)."""
-    J = np.zeros((3, 6))
-    J[0, 1], J[0, 2], J[1, 2] = lever[2], -lever[1], lever[0]
-    J[1, 0], J[2, 0], J[2, 1] = -lever[2], lever[1], -lever[0]
-    J[0, 3] = J[1, 4] = J[2, 5] = 1.0
-    for r in range(6):
-        a0 = J[0, r] * A[0, 0] + J[1, r] * A[1, 0] + J[2, r] * A[2, 0]
-        a1 = J[0, r] * A[0, 1] + J[1, r] * A[1, 1] + J[2, r] * A[2, 1]
-        a2 = J[0, r] * A[0, 2] + J[1, r] * A[1, 2] + J[2, r] * A[2, 2]
-        for s in range(6):
-            result[r, s] += a0 * J[0, s] + a1 * J[1, s] + a2 * J[2, s]
-        result[r, 6] -= J[0, r] * g[0] + J[1, r] * g[1] + J[2, r] * g[2]
+                b, c = (a + 1) % 3, (a + 2) % 3
+                row[a] = (x[b] - centre[b]) * row[3 + c] - (x[c] - centre[c]) * row[3 + b]
+            off = row[3] * d0 + row[4] * d1 + row[5] * d2
+            for r in range(6):
+                for s in range(6):
+                    result[r, s] += trust * m * row[r] * row[s]
+                result[r, 6] -= trust * off * row[r]

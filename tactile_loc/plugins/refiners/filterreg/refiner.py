@@ -98,9 +98,6 @@ class FilterRegRefiner(CloudRefiner):
             default=0.15, gt=0, description="last standard deviation, mm; larger when points are sparse"
         )
         outlier: float = Field(default=0.03, gt=0, lt=1, description="expected share of points without a counterpart")
-        point_weight: float = Field(
-            default=0.0, ge=0, le=1, description="0 is point to plane, 1 is point to point, others blend both"
-        )
         iterations: int = Field(default=30, ge=1, description="most iterations of expectation and maximisation")
 
     def register(self, source: Cloud, target: Cloud) -> Registration:
@@ -113,7 +110,7 @@ class FilterRegRefiner(CloudRefiner):
             return []
         moving, going = _Moving(sources), np.arange(len(sources))
         for observed, last in self._anneal(target):
-            moved_mm = moving.step(going, observed, self.options.point_weight)
+            moved_mm = moving.step(going, observed)
             moving.converged[going] = last & (moved_mm < SETTLED_MM)
             going = going[(moved_mm >= SETTLED_MM) if last else np.isfinite(moved_mm)]
             if len(going) == 0:
@@ -145,7 +142,7 @@ class _Moving:
         self.converged = np.zeros(len(sources), bool)
         self.found = np.zeros(len(sources), bool)
 
-    def step(self, going: NDArray[np.int64], observed: Mixture, point_weight: float) -> Floats:
+    def step(self, going: NDArray[np.int64], observed: Mixture) -> Floats:
         """Do one iteration of the candidates `going` (K,). Return the RMS moves (K,) of their points, mm.
 
         The move is NaN for a candidate without a point near the observed cloud. Such a candidate does not move.
@@ -154,7 +151,7 @@ class _Moving:
         centres = (T[:, :3, :3] @ middles[:, :, None])[:, :, 0] + T[:, :3, 3]
         equations = np.zeros((len(going), 6, 7))
         cloud, candidates = (self.points, self.normals, self.starts), (going, self.T, centres)
-        run_in_threads(kernels.add_equations, len(going), cloud, candidates, observed, point_weight, equations)
+        run_in_threads(kernels.add_equations, len(going), cloud, candidates, observed, equations)
         twists, moved_mm = solve(equations)
         reached = np.isfinite(moved_mm)
         self.iterations[going] += 1
