@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 NOTE = (logging.INFO + logging.WARNING) // 2  # level of log messages that are no warning, but shown by default
 
@@ -23,11 +24,11 @@ class Progress:
         """Show one line about the running task, such as a loss. The next call replaces the line."""
 
 
+@dataclass
 class StageTimes:
     """Durations of stages: `seconds` by name, in the order in which the stages first ran."""
 
-    def __init__(self, seconds: dict[str, float] | None = None) -> None:
-        self.seconds: dict[str, float] = {} if seconds is None else seconds
+    seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

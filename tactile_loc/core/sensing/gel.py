@@ -112,7 +112,7 @@ class Contact(NamedTuple):
 
 
 class GelSolver:
-    """Solves contacts on a window of `shape` (H, W) pixels with `pitch_m` (x, y) metres; make it with `make_solver`.
+    """Solves contacts on a window of `shape` (H, W) pixels with `pitch_m` (x, y) metres; `make_solver` keeps solvers.
 
     The window is `padded` to twice its size (rows, columns), because the Fourier transform repeats it. `compliance` is
     the transform of the displacements under a unit pressure at one pixel, metres. They do not repeat either, so a gel
@@ -164,10 +164,7 @@ class GelSolver:
         return Contact(u, p)
 
 
-@lru_cache(maxsize=32)
-def make_solver(gel: Gel, shape: tuple[int, int], pitch_m: tuple[float, float]) -> GelSolver:
-    """Return the solver of a gel for images of `shape` (H, W) with a pixel pitch (x, y) in metres."""
-    return GelSolver(gel, shape, pitch_m)
+make_solver = lru_cache(maxsize=32)(GelSolver)
 
 
 def compute_compliance(q: Floats, gel: Gel) -> Floats:
