@@ -37,25 +37,13 @@ CDR, ROS1 = "cdr", "ros1"  # the encodings of messages in ROS 2 and ROS 1
 UNKNOWN = -1.0  # first number of an unknown covariance, as in sensor_msgs/Imu
 
 
-@dataclass(frozen=True)
-class Encoding:
-    """The storage of an image's pixels: the type of the numbers, and the number of channels.
-
-    `kept` lists the channels to keep, in the order red, green, blue.
-    """
-
-    dtype: str
-    channels: int = 1
-    kept: tuple[int, ...] = (0,)
-
-
-ENCODINGS = {
-    "rgb8": Encoding("u1", 3, (0, 1, 2)),
-    "bgr8": Encoding("u1", 3, (2, 1, 0)),
-    "rgba8": Encoding("u1", 4, (0, 1, 2)),
-    "bgra8": Encoding("u1", 4, (2, 1, 0)),
-    "mono8": Encoding("u1"),
-    "32FC1": Encoding("f4"),
+ENCODINGS = {  # the type of an image's numbers, and its channels in order
+    "rgb8": ("u1", "rgb"),
+    "bgr8": ("u1", "bgr"),
+    "rgba8": ("u1", "rgba"),
+    "bgra8": ("u1", "bgra"),
+    "mono8": ("u1", "v"),
+    "32FC1": ("f4", "v"),
 }
 
 
@@ -69,13 +57,13 @@ def decode_image(message: Any) -> NDArray[Any]:
 
 
 def _decode_raw(message: Any) -> NDArray[Any]:
-    encoding = ENCODINGS.get(message.encoding)
-    if encoding is None:
+    if message.encoding not in ENCODINGS:
         raise RecordingError(
             f"images of the encoding {message.encoding!r} cannot be read; convert them to one of {', '.join(ENCODINGS)}"
         )
-    dtype = np.dtype(encoding.dtype).newbyteorder(">" if message.is_bigendian else "<")
-    used = message.width * encoding.channels * dtype.itemsize  # bytes of a row, without padding
+    kind, order = ENCODINGS[message.encoding]
+    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    used = message.width * len(order) * dtype.itemsize  # bytes of a row, without padding
     data = np.frombuffer(message.data, np.uint8)
     if message.step < used or len(data) < message.height * message.step or not used:
         raise TouchError(
@@ -83,12 +71,13 @@ def _decode_raw(message: Any) -> NDArray[Any]:
             f"{message.height} pixels of {message.encoding} need {message.height * used}"
         )
     rows = data[: message.height * message.step].reshape(message.height, message.step)[:, :used]
-    pixels = np.ascontiguousarray(rows).view(dtype).reshape(message.height, message.width, encoding.channels)
-    if encoding.channels == 4 and np.ptp(pixels[..., 3]) > 0:  # a constant alpha channel only fills the fourth byte
+    pixels = np.ascontiguousarray(rows).view(dtype).reshape(message.height, message.width, len(order))
+    if order[3:] and np.ptp(pixels[..., 3]) > 0:  # a constant alpha channel only fills the fourth byte
         require_opaque(pixels[..., 3], f"the {message.encoding} image")
-    kept = pixels if encoding.kept == tuple(range(encoding.channels)) else pixels[..., list(encoding.kept)]
-    own = kept.astype(dtype.newbyteorder("="), copy=False)
-    return own[..., 0] if len(encoding.kept) == 1 else own
+    own = pixels.astype(dtype.newbyteorder("="), copy=False)
+    if order == "v":
+        return own[..., 0]
+    return own if order == "rgb" else own[..., [order.index(colour) for colour in "rgb"]]
 
 
 def _decode_compressed(message: Any) -> NDArray[Any]:
@@ -236,7 +225,7 @@ def encode(message: Any, type_name: str) -> bytes:
 
 def make_image(values: NDArray[Any], encoding: str, stamp_ns: int, frame: str) -> Any:
     """Return the sensor_msgs Image of an array (H, W) or (H, W, C), in an encoding such as rgb8 or 32FC1."""
-    dtype = np.dtype(ENCODINGS[encoding].dtype).newbyteorder("<")
+    dtype = np.dtype(ENCODINGS[encoding][0]).newbyteorder("<")
     rows = np.ascontiguousarray(values, dtype).reshape(len(values), -1)
     return _make(
         IMAGE,
