@@ -149,7 +149,7 @@ def test_broken_checks_do_not_stop_the_doctor(monkeypatch):
 def test_plugins_that_failed_to_load_are_named_and_not_fatal(cli, libraries, monkeypatch):
     libraries()
     found = Registry([])
-    found.components += registry_module.registry().components
+    found.offers += registry_module.registry().offers
     found.failures.append(LoadFailure("broken-one", "broken-package", "ValueError: out of order"))
     monkeypatch.setattr(registry_module, "registry", lambda: found)
     done = cli("doctor")
