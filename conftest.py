@@ -37,7 +37,7 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability import conformal_fit, probabilities
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
-from tactile_loc.sensors.calibration import gel_fit, pressed_balls
+from tactile_loc.sensors.calibration import gel_fit
 from tactile_loc.store.store import StageStore
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 from tactile_loc.view import one_versus_several, pictures, pose_panel, raytracing
@@ -104,10 +104,10 @@ def shipped_touches() -> Iterator[int]:
 @pytest.fixture(autouse=True, scope="session")
 def shipped_gel_fit() -> Iterator[tuple[np.ndarray, int]]:
     """The thicknesses, metres, that are tried for a gel, and the pixels; the tests try fewer, with fewer pixels."""
-    shipped = gel_fit.THICKNESSES_M, pressed_balls.PIXELS
+    shipped = gel_fit.THICKNESSES_M, gel_fit.PIXELS
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gel_fit, "THICKNESSES_M", shipped[0][1:6])
-        patch.setattr(pressed_balls, "PIXELS", shipped[1] // 2)
+        patch.setattr(gel_fit, "PIXELS", shipped[1] // 2)
         yield shipped
 
 

@@ -28,7 +28,7 @@ from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import deform_gel, recover_contact
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
-from tactile_loc.sensors.calibration.pressed_balls import press_balls
+from tactile_loc.sensors.calibration.gel_fit import press_balls
 from tactile_loc.sensors.reading.reading import measure_press_m, require_image
 
 MM = 1e3

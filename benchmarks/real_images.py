@@ -134,7 +134,6 @@ class SpherePress:
         estimator = calibrated.estimator
         change = compare_colours(image, estimator.background)
         imprint = find_imprint(change)
-        assert imprint is not None
         circle = find_rim(change, imprint.circle)
         pitch_mm = 1e3 * estimator.geometry.pixel_pitch_m
         away_mm, radius_mm = pitch_mm * circle.measure_distance_px(image.shape[:2]), pitch_mm * circle.radius_px

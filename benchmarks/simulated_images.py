@@ -33,9 +33,8 @@ from tactile_loc.io.config import RunConfig, parse_overrides
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.simulated import SimulatedSensor, calibrate_simulated
-from tactile_loc.sensors.optics.gel import find_indentation, press_gel
 from tactile_loc.sensors.optics.lamps import Optics
-from tactile_loc.sensors.optics.simulate import render_touches
+from tactile_loc.sensors.optics.simulate import find_indentation, press_gel, render_touches
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator
 from tactile_loc.sensors.reading.reading import find_contact_shape, measure_press_m
 from tactile_loc.store.store import StageStore

@@ -14,10 +14,9 @@ from tactile_loc.io.images import encode_png
 from tactile_loc.io.sensor_files import write_sensor_file
 from tactile_loc.io.touch_lists import write_touch_list
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.sensors.optics.gel import press_gel
 from tactile_loc.sensors.optics.lamps import OPTICS, Optics
 from tactile_loc.sensors.optics.shading import render_background, render_images
-from tactile_loc.sensors.optics.simulate import render_touches
+from tactile_loc.sensors.optics.simulate import press_gel, render_touches
 
 PHOTO_PX, MM_PER_PX, BALL_MM, BALLS = (320, 240), 0.0634, 6.0, 20  # size of photos, scale, diameter, and presses
 PLACES = (-6e-3, 6e-3), (-4e-3, 4e-3), (3e-4, 1e-3)  # ranges of the presses' x, y and depth, metres

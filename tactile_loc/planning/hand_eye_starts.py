@@ -39,22 +39,6 @@ class HandEyeStart:
     T_base_object: Floats
     off_m: Floats
 
-    @property
-    def agreeing(self) -> NDArray[np.bool_]:
-        """Which touches (N,) have a hypothesis that agrees with the mount."""
-        return self.off_m < AGREES_M
-
-    @property
-    def score(self) -> float:
-        """The number of touches that agree; the worse a touch agrees, the less it counts."""
-        return float(_score(self.off_m))
-
-    def is_another(self, other: HandEyeStart) -> bool:
-        """Return whether the other guess differs enough to count as a different mount."""
-        X, Y = self.T_flange_sensor, other.T_flange_sensor
-        rotated = float(rotation_angle(X[:3, :3].T @ Y[:3, :3]))
-        return rotated > ANOTHER_RAD or float(np.linalg.norm(X[:3, 3] - Y[:3, 3])) > ANOTHER_M
-
 
 def list_hand_eye_starts(
     T_base_flange: Poses,
@@ -105,10 +89,12 @@ def _score(off_m: Floats) -> Floats:
 
 def _choose_different(found: list[HandEyeStart], count: int) -> list[HandEyeStart]:
     best: list[HandEyeStart] = []
-    for guess in sorted(found, key=lambda one: -one.score):
-        if len(best) == count:
-            break
-        if all(guess.is_another(better) for better in best):
+    for guess in sorted(found, key=lambda one: -_score(one.off_m)):
+        X = guess.T_flange_sensor
+        others = np.array([one.T_flange_sensor for one in best]).reshape(-1, 4, 4)
+        rotated = rotation_angle(X[:3, :3].T @ others[:, :3, :3]) > ANOTHER_RAD
+        moved = np.linalg.norm(X[:3, 3] - others[:, :3, 3], axis=1) > ANOTHER_M
+        if len(best) < count and (rotated | moved).all():
             best.append(guess)
     return best
 

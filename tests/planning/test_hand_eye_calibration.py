@@ -27,7 +27,7 @@ from tactile_loc.planning.hand_eye_calibration import (
     require_determined,
     require_motions,
 )
-from tactile_loc.planning.hand_eye_starts import list_hand_eye_starts
+from tactile_loc.planning.hand_eye_starts import AGREES_M, list_hand_eye_starts
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.simulate.touch_simulation import simulate_touches
 
@@ -65,7 +65,7 @@ def test_the_mount_is_found_among_wrong_and_equivalent_hypotheses(make_box, cyli
     off = compute_pose_errors(X, guess.T_flange_sensor)
     assert np.linalg.norm(off[:3]) < 1.5e-3
     assert np.linalg.norm(off[3:]) < np.radians(4.0)
-    assert guess.agreeing.tolist() == [k != 2 for k in range(COUNT)]
+    assert (guess.off_m < AGREES_M).tolist() == [k != 2 for k in range(COUNT)]
 
 
 def test_a_nominal_mount_excludes_other_mounts(box, truth):
@@ -75,8 +75,8 @@ def test_a_nominal_mount_excludes_other_mounts(box, truth):
     nominal = (X @ make_translation([x, 0, 0]) for x in (0.01, 0.1))
     allowed = [lambda T, N=N: module._is_near(T, N) for N in nominal]
     near, far = (list_hand_eye_starts(F, hypotheses, PoseMetric(box), 1, some) for some in allowed)
-    assert near[0].agreeing.all()
-    assert not far or far[0].agreeing.sum() < COUNT / 2
+    assert (near[0].off_m < AGREES_M).all()
+    assert not far or (far[0].off_m < AGREES_M).sum() < COUNT / 2
 
 
 class Case:

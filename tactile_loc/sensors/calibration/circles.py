@@ -26,6 +26,7 @@ from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
 
 Array = NDArray[np.float64]
 
+LIKENESS, CONTRAST = 0.65, 4.0  # least likeness of a ball's imprint, and least contrast, counts
 COARSE_PX, COARSER_PX = 80, 40  # longer image side for finding a ball, and for measuring concentration
 SMALLEST_PX, SIZES = 2.5, 12  # smallest radius of the filters in coarse pixels, and number of radii
 LARGEST = 0.5  # largest radius of the filters, share of the image's shorter side
@@ -56,8 +57,7 @@ class Circle:
     def measure_overhang_px(self, shape: tuple[int, int]) -> float:
         """Return the distance, pixels, by which the circle extends beyond an image (H, W). It is negative inside."""
         height, width = shape
-        nearest = min(self.x_px, self.y_px, width - self.x_px, height - self.y_px)
-        return self.radius_px - nearest
+        return self.radius_px - min(self.x_px, self.y_px, width - self.x_px, height - self.y_px)
 
 
 @dataclass(frozen=True)
@@ -65,12 +65,17 @@ class Imprint:
     """A possible imprint of a ball.
 
     `likeness` is the share of the change's variance within REACH radii that the model of a ball's imprint explains.
-    `contrast` is the root mean square of the change in the circle, counts.
+    `contrast` is the root mean square of the change in the circle, counts. Both are 0 if there is no change.
     """
 
     circle: Circle
-    likeness: float
-    contrast: float
+    likeness: float = 0.0
+    contrast: float = 0.0
+
+    @property
+    def is_ball(self) -> bool:
+        """Whether the imprint is that of a ball."""
+        return self.likeness >= LIKENESS and self.contrast >= CONTRAST
 
 
 def compare_colours(image: Image | Float32, untouched: Image | Float32) -> Float32:
@@ -79,26 +84,21 @@ def compare_colours(image: Image | Float32, untouched: Image | Float32) -> Float
     return np.asarray(change - np.median(change[::2, ::2], axis=(0, 1)), np.float32)
 
 
-def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint | None:
-    """Return the strongest imprint in a colour change (H, W, 3), or None if the change is 0 everywhere.
+def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint:
+    """Return the strongest imprint in a colour change (H, W, 3). It need not be that of a ball.
 
-    The imprint's circle is approximate; `find_rim` refines it. The imprint need not be that of a ball: check its
-    likeness and contrast. Pixels that are marked in `hidden` (H, W) count as untouched.
+    The imprint's circle is approximate; `find_rim` refines it. Pixels that are marked in `hidden` (H, W) count as
+    untouched.
     """
     seen = change if hidden is None else np.where(hidden[..., None], np.float32(0), change)
     coarse, step = _coarsen(seen, COARSE_PX)
     best = _match_filters(coarse)
     if best is None:
-        return None
+        return Imprint(Circle(0.0, 0.0, 1.0))
     start = Circle((best[1] + 0.5) * step, (best[2] + 0.5) * step, best[3] * step)
     circle, likeness = _fit_circle(seen, start)
-    return Imprint(circle, likeness, measure_contrast(seen, circle))
-
-
-def measure_contrast(change: Float32, circle: Circle) -> float:
-    """Return the root mean square of a colour change (H, W, 3) in a circle, counts."""
-    inside = change[circle.measure_distance_px(change.shape[:2]) < circle.radius_px]
-    return float(np.sqrt((inside**2).mean())) if inside.size else 0.0
+    inside = seen[circle.measure_distance_px(seen.shape[:2]) < circle.radius_px]
+    return Imprint(circle, likeness, float(np.sqrt((inside**2).mean())) if inside.size else 0.0)
 
 
 def measure_concentration(change: Float32) -> float:

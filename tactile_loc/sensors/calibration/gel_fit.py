@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,11 +21,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.gel import Float32, Gel, compute_smoothing, list_wave_numbers, make_solver
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.circles import Circle, compare_colours
-from tactile_loc.sensors.calibration.labels import Image
-from tactile_loc.sensors.calibration.pressed_balls import press_balls
+from tactile_loc.sensors.calibration.labels import Image, PressLabel
 
+DEPTHS = np.linspace(0.12, 0.77, 131) ** 2  # in radii of the ball; the contacts' radii are about evenly spaced
+EVERY = 5  # each of these depths is solved; the surfaces between are interpolated
+PIXELS, WIDTH = 144, 5.2  # pixels along a side of the window in which balls are pressed, and its width in radii
+SOLVED = 12  # iterations of the solver
 THICKNESSES_M = 1e-3 * np.geomspace(1.5, 24.0, 9)  # tried, before the least is interpolated
 COATINGS_M = 1e-3 * np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
 FEWEST = 3  # presses
@@ -36,6 +41,108 @@ UNSURE = 0.1  # standard deviation of the brightness between presses, as a share
 ROUNDS = 5  # estimates of the brightness
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PressedBalls:
+    """A ball that is pressed by DEPTHS into a gel, at distances `away_m` (K,), metres, from the ball's axis.
+
+    `surface_m` (D, K) is the displacement of the gel's surface, and `slope` (D, K) the downward slope that the camera
+    sees. `contact_m` (D,) are the radii of the contacts.
+    """
+
+    away_m: Floats
+    surface_m: Floats
+    slope: Floats
+    contact_m: Floats
+
+    def measure_change(self, away_m: Floats) -> Floats:
+        """Return the odd change of colour (D, N), up to a factor, at distances (N,), metres."""
+        at = np.clip(away_m / self.away_m[1], 0, len(self.away_m) - 1.001)
+        low = at.astype(int)
+        lean = self.slope[:, low] + (at - low) * (self.slope[:, low + 1] - self.slope[:, low])
+        return np.asarray(lean / np.sqrt(1 + lean**2))
+
+    def find_depth(self, contact_m: float) -> int:
+        """Return the index of the depth whose contact has the radius `contact_m`, metres."""
+        return int(np.abs(self.contact_m - contact_m).argmin())
+
+
+@lru_cache(maxsize=256)
+def press_balls(gel: Gel, ball_m: float) -> PressedBalls:
+    """Press a ball of `ball_m` metres into a gel."""
+    pitch_m, middle = WIDTH * ball_m / PIXELS, PIXELS // 2
+    away_m = np.asarray(pitch_m * np.arange(PIXELS - middle), float)
+    if not gel.is_elastic:
+        surface = np.maximum((DEPTHS * ball_m)[:, None] - _shape_ball(away_m, ball_m), 0)
+        slope = np.asarray(-np.gradient(surface, pitch_m, axis=1), float)
+        return PressedBalls(away_m, surface, slope, ball_m * np.sqrt(1 - (1 - DEPTHS) ** 2))
+    bare = Gel(gel.thickness_m, gel.poisson)
+    surface, pressure = _press(bare, ball_m)
+    spectrum, padded = _transform(bare, ball_m)
+    smoothing = compute_smoothing(np.hypot(*list_wave_numbers(padded, (pitch_m, pitch_m))), gel)
+    # One row of the inverse transform: the sum along the other axis, then a transform along the row.
+    wave = np.exp(2j * np.pi * middle * np.arange(padded[0]) / padded[0]) / padded[0]
+    row = np.einsum("dkm,km->dm", spectrum, wave[:, None] * smoothing)
+    visible = np.fft.irfft(row, padded[1])[:, middle:PIXELS]
+    contact_m = pitch_m * np.sqrt((pressure > 0).sum(axis=(1, 2)) / np.pi)
+    slope = np.asarray(-np.gradient(visible, pitch_m, axis=1), float)
+    rows = (surface[:, middle, middle:].astype(float), slope, contact_m)
+    return PressedBalls(away_m, *(_interpolate(values) for values in rows))
+
+
+@lru_cache(maxsize=32)
+def _press(gel: Gel, ball_m: float) -> tuple[Float32, Float32]:
+    """Return the displacements and pressures (D', H, W) of a ball that is pressed by the solved depths into a gel."""
+    pitch_m = WIDTH * ball_m / PIXELS
+    away = np.asarray(pitch_m * np.abs(np.arange(PIXELS) - PIXELS // 2), float)
+    below_m = _shape_ball(np.hypot(away[None], away[:, None]), ball_m)
+    reach_m = ((DEPTHS[::EVERY] * ball_m)[:, None, None] - below_m).astype(np.float32)
+    contact = make_solver(gel, below_m.shape, (pitch_m, pitch_m)).press(reach_m, SOLVED)
+    return contact.displacement_m, contact.pressure
+
+
+@lru_cache(maxsize=4)  # for the coatings of one gel
+def _transform(gel: Gel, ball_m: float) -> tuple[NDArray[np.complex128], tuple[int, int]]:
+    """Return the spectra (D', N, M / 2 + 1) of the displacements by `_press`, and their padded size (N, M)."""
+    pitch_m = WIDTH * ball_m / PIXELS
+    solver = make_solver(gel, (PIXELS, PIXELS), (pitch_m, pitch_m))
+    spectrum = np.fft.rfft2(_press(gel, ball_m)[1], solver.padded) * solver.compliance
+    return spectrum, solver.padded
+
+
+def _interpolate(solved: Floats) -> Floats:
+    """Return values (D, ...) at DEPTHS, given those (D', ...) at the solved depths."""
+    at = np.arange(len(DEPTHS)) / EVERY
+    low = np.minimum(at.astype(int), len(solved) - 2)
+    part = (at - low).reshape(-1, *[1] * (solved.ndim - 1))
+    return np.asarray(solved[low] + part * (solved[low + 1] - solved[low]))
+
+
+def _shape_ball(away_m: Floats, ball_m: float) -> Floats:
+    """Return the heights, metres, of a ball's underside over its deepest point, at distances from its axis, metres."""
+    return np.asarray(ball_m - np.sqrt(np.maximum(ball_m**2 - away_m**2, 0)))
+
+
+def label_elastic_ball(
+    geometry: SensorGeometry, centre_px: tuple[float, float], contact_m: float, ball: PressedBalls
+) -> PressLabel:
+    """Return the label of a ball on an elastic gel, which touches the gel within `contact_m` metres from its axis.
+
+    The indentation is that of the gel's surface, and the slope is what the camera sees through the coating. The label
+    is known everywhere. `centre_px` (x, y) is the axis in the image, pixels.
+    """
+    height, width = geometry.shape
+    sx, sy = geometry.scale_at_surface
+    x = ((np.arange(width) + 0.5 - centre_px[0]) / sx)[None, :]
+    y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
+    away, pressed = np.hypot(x, y), ball.find_depth(contact_m)
+    indentation = np.interp(away, ball.away_m, ball.surface_m[pressed], right=0.0)
+    lean = np.interp(away, ball.away_m, ball.slope[pressed], right=0.0)
+    slope = -np.stack([x * lean, y * lean], axis=-1) / np.maximum(away, 1e-9)[..., None]
+    contact = away < ball.contact_m[pressed]
+    known = np.ones(geometry.shape, bool)
+    return PressLabel(indentation.astype(np.float32), slope.astype(np.float32), contact, known)
 
 
 class BallImage(NamedTuple):
@@ -87,32 +194,27 @@ class GelFit:
         return asdict(self)
 
 
-def fit_gel(
-    images: Sequence[BallImage], untouched: Image, thickness_m: float | None = None, progress: Progress | None = None
-) -> GelFit | None:
+def fit_gel(images: Sequence[BallImage], untouched: Image, progress: Progress | None = None) -> GelFit | None:
     """Fit a gel to images of pressed balls and an image of the untouched gel (H, W, 3).
 
-    With `thickness_m`, metres, only the coating is fitted. Return None if fewer than FEWEST presses are in the image.
+    Return None if fewer than FEWEST presses are in the image.
     """
     profiles = [(one, measure_profile(one, untouched)) for one in images]
     profiles = [(one, profile) for one, profile in profiles if np.isfinite(profile).sum() > len(REACH) // 2]
     if len(profiles) < FEWEST:
         return None
-    tried = THICKNESSES_M if thickness_m is None else np.array([thickness_m])
-    errors = np.empty((len(tried), len(COATINGS_M), len(profiles)))
-    with (progress or Progress()).task("measuring the gel", len(tried)) as advance:
-        for row, one_m in enumerate(tried):
+    errors = np.empty((len(THICKNESSES_M), len(COATINGS_M), len(profiles)))
+    with (progress or Progress()).task("measuring the gel", len(THICKNESSES_M)) as advance:
+        for row, one_m in enumerate(THICKNESSES_M):
             for column, coating_m in enumerate(COATINGS_M):
                 errors[row, column], _ = _compare(profiles, Gel(float(one_m), coating_m=float(coating_m)))
             advance(1)
     mean = errors.mean(axis=2)
     row, column = divmod(int(mean.argmin()), len(COATINGS_M))
     coating_m = float(np.clip(_find_least(COATINGS_M, mean[row]), 0, COATINGS_M[-1]))
-    best_m, std_m = float(tried[row]), 0.0
-    if thickness_m is None:
-        best_m = float(np.exp(_find_least(np.log(tried), mean[:, column])))
-        each = [_find_least(np.log(tried), errors[:, column, press]) for press in range(len(profiles))]
-        std_m = best_m * float(np.std(each, ddof=1)) / np.sqrt(len(each))
+    best_m = float(np.exp(_find_least(np.log(THICKNESSES_M), mean[:, column])))
+    each = [_find_least(np.log(THICKNESSES_M), errors[:, column, press]) for press in range(len(profiles))]
+    std_m = best_m * float(np.std(each, ddof=1)) / np.sqrt(len(each))
     final, shares = _compare(profiles, Gel(best_m, coating_m=coating_m))
     rigid, _ = _compare(profiles, Gel())
     return GelFit(
@@ -167,8 +269,6 @@ def _compare(profiles: Sequence[tuple[BallImage, Floats]], gel: Gel) -> tuple[Fl
 
 def _find_least(values: Floats, errors: Floats) -> float:
     """Return the value with the least error: the vertex of a parabola through the three least values."""
-    if len(values) < 3:
-        return float(values[errors.argmin()])
     k = int(np.clip(errors.argmin(), 1, len(values) - 2))
     a, b, _ = np.polyfit(values[k - 1 : k + 2], errors[k - 1 : k + 2], 2)
     vertex = -b / (2 * a) if a > 0 else values[errors.argmin()]

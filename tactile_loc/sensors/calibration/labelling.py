@@ -99,7 +99,7 @@ def label_presses(
     folder, frames = read_frames(source)
     found = find_presses(frames, ball_radius_mm / scale, progress)
     depths_mm = _estimate_depths_mm(found, ball_radius_mm, scale)
-    write_labels(folder, found, ball_radius_mm, scale)
+    _write_labels(folder, found, ball_radius_mm, scale)
     if not file.exists():
         write_scale(folder, frames[0].image.shape[:2], scale)
     return LabelledFolder(folder, file, found, depths_mm)
@@ -144,16 +144,8 @@ def _estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: f
     return float(depths_mm.min()), float(depths_mm.max())
 
 
-def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> Path:
-    """Write `presses.csv` with the used presses, and return its path.
-
-    If no image shows the untouched gel, the composed image is written, too. Circles larger than the ball are reduced:
-    see `write_table`. Raises CalibrationError when there is a table already, and OutputError when a file cannot be
-    written.
-    """
-    table = folder / TABLE
-    if table.exists():
-        raise CalibrationError(f"{table} already exists; remove it to detect the balls again")
+def _write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> None:
+    """Write `presses.csv` with the used presses. If no image shows the untouched gel, write the composed image, too."""
     names = list(found.untouched_names)
     if not names:
         write_atomically(folder / UNTOUCHED, lambda path: write_image(path, found.untouched))
@@ -163,4 +155,4 @@ def write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_pe
         assert press.circle is not None
         x, y, radius = (round(v, 2) for v in (press.circle.x_px, press.circle.y_px, press.circle.radius_px))
         rows.append((press.name, (x, y, radius)))
-    return write_table(table, rows, ball_radius_mm, mm_per_px)
+    write_table(folder / TABLE, rows, ball_radius_mm, mm_per_px)

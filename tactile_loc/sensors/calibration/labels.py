@@ -19,7 +19,6 @@ from scipy.ndimage import binary_erosion, distance_transform_edt
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.pressed_balls import PressedBalls
 from tactile_loc.sensors.reading.surface import differentiate
 
 Image = NDArray[np.uint8]
@@ -92,27 +91,6 @@ def label_ball(
     indentation = np.where(contact, pushed - rim, 0.0).astype(np.float32)
     slope = (gel + np.stack([-x / below, -y / below], axis=-1)) * contact[..., None]
     return PressLabel(indentation, slope.astype(np.float32), contact, contact | (rho2 > (SKIRT * r) ** 2), False)
-
-
-def label_elastic_ball(
-    geometry: SensorGeometry, centre_px: tuple[float, float], contact_m: float, ball: PressedBalls
-) -> PressLabel:
-    """Return the label of a ball on an elastic gel, which touches the gel within `contact_m` metres from its axis.
-
-    The indentation is that of the gel's surface, and the slope is what the camera sees through the coating. The label
-    is known everywhere. `centre_px` (x, y) is the axis in the image, pixels.
-    """
-    height, width = geometry.shape
-    sx, sy = geometry.scale_at_surface
-    x = ((np.arange(width) + 0.5 - centre_px[0]) / sx)[None, :]
-    y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
-    away, pressed = np.hypot(x, y), ball.find_depth(contact_m)
-    indentation = np.interp(away, ball.away_m, ball.surface_m[pressed], right=0.0)
-    lean = np.interp(away, ball.away_m, ball.slope[pressed], right=0.0)
-    slope = -np.stack([x * lean, y * lean], axis=-1) / np.maximum(away, 1e-9)[..., None]
-    contact = away < ball.contact_m[pressed]
-    known = np.ones(geometry.shape, bool)
-    return PressLabel(indentation.astype(np.float32), slope.astype(np.float32), contact, known)
 
 
 def _average_rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:

@@ -211,6 +211,6 @@ def calibrate_folder(
 
         relief_m = learn_relief(presses, recipe.seed, watcher)
         presses = replace(presses, geometry=replace(presses.geometry, relief_m=relief_m))
-    presses = presses.measure_gel(progress=watcher)
+    presses = presses.measure_gel(watcher)
     outcome = calibrate_stage(presses, recipe, store or StageStore(), watcher)
     return replace(outcome, facts=tuple(presses.list_facts()))

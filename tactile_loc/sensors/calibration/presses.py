@@ -18,17 +18,9 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_photo
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.sensors.calibration.circles import Circle
-from tactile_loc.sensors.calibration.gel_fit import BallImage, GelFit, fit_gel
-from tactile_loc.sensors.calibration.labels import (
-    Image,
-    LabelledPresses,
-    PressLabel,
-    label_ball,
-    label_elastic_ball,
-    label_mesh,
-)
+from tactile_loc.sensors.calibration.gel_fit import BallImage, GelFit, fit_gel, label_elastic_ball, press_balls
+from tactile_loc.sensors.calibration.labels import Image, LabelledPresses, PressLabel, label_ball, label_mesh
 from tactile_loc.sensors.calibration.press_table import KINDS, TABLE, PressRow, read_rows
-from tactile_loc.sensors.calibration.pressed_balls import press_balls
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import reduce_image
 from tactile_loc.slots.registry import registry
@@ -90,13 +82,10 @@ class PressFolder(LabelledPresses):
         circle = Circle(x * columns / width, y * rows / height, radius * self.camera.pixel_pitch_m / pitch_m)
         return BallImage(self.images[number], circle, 1e-3 * ball_mm, pitch_m)
 
-    def measure_gel(self, thickness_m: float | None = None, progress: Progress | None = None) -> PressFolder:
-        """Return the presses with the gel's elasticity, if it can be fitted to the presses of balls.
-
-        With `thickness_m`, metres, the gel's thickness is known. Curved gels are not fitted.
-        """
+    def measure_gel(self, progress: Progress | None = None) -> PressFolder:
+        """Return the presses with the gel's elasticity, if the gel is flat and balls determine its elasticity."""
         balls = [self.read_ball(number) for number in self.list_balls()]
-        fit = None if self.geometry.is_curved else fit_gel(balls, self.background, thickness_m, progress)
+        fit = None if self.geometry.is_curved else fit_gel(balls, self.background, progress)
         if fit is None or not fit.is_elastic:
             return replace(self, fit=fit)
         return replace(self, fit=fit, geometry=replace(self.geometry, gel=fit.gel))

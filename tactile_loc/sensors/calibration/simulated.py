@@ -20,10 +20,9 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.sensors.calibration.labels import Image, LabelledPresses, PressLabel, label_surface
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome, calibrate_stage
-from tactile_loc.sensors.optics.gel import SOFTNESS_M
 from tactile_loc.sensors.optics.lamps import OPTICS, Optics, choose_optics
 from tactile_loc.sensors.optics.shading import render_background
-from tactile_loc.sensors.optics.simulate import press_boards
+from tactile_loc.sensors.optics.simulate import SOFTNESS_M, press_boards
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe, make_estimator
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey

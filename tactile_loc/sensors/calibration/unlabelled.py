@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,8 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.circles import (
+    CONTRAST,
+    LIKENESS,
     Circle,
     Imprint,
     compare_colours,
@@ -30,7 +31,6 @@ from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
 from tactile_loc.sensors.reading.markers import UntouchedGel
 
-LIKENESS, CONTRAST = 0.65, 4.0  # least likeness of a ball's imprint, and least contrast, counts
 BLURRED = 0.45  # least likeness of a ball's imprint if there is a second ball in the image
 QUIET, STILL = 0.2, 0.5  # limits of an untouched image's change if it looks like a ball or not, share of usual contrast
 SECOND = 0.35  # least contrast of a second ball, share of the first ball's contrast
@@ -46,6 +46,7 @@ TRIED, JUDGES = 6, 10  # number of images tried as the untouched gel, and of ima
 KEPT = 6  # number of images from which each pixel of the untouched gel is composed
 AWAY = (1.3, 2.0)  # distances from an imprint's centre, radii: touched within the first, hardly beyond the second
 ORDER = 5  # degree of the polynomial that fills in pixels that are touched in all images
+MOST_STACKED = 40  # approximate number of images of which the median is taken
 PIECED = 2  # number of times that the untouched gel is composed, each time with better circles
 HOW_TO_PRESS = "press the ball so that its whole imprint is in the image, and add an image of the untouched gel"
 
@@ -102,7 +103,8 @@ def find_presses(
             f"there are only {len(frames)} images; give one of the untouched gel and at least five presses, better 30"
         )
     watcher = progress or Progress()
-    gel = UntouchedGel.of(_take_median([frame.image for frame in frames]))
+    some = [frame.image for frame in frames[:: max(1, len(frames) // MOST_STACKED)]]
+    gel = UntouchedGel.of(np.rint(np.median(some, axis=0)).astype(np.uint8))  # most images show a dot at its place
     images = [gel.clear_image(frame.image) for frame in frames]
     with watcher.task("looking for the untouched gel", len(images)) as advance:
         reference = _choose_reference(images)
@@ -131,28 +133,18 @@ def _require_balls(found: FoundPresses, ball_px: float | None) -> None:
             f"the camera or the gel moved in {moved} of {len(reasons)} images; mount the sensor firmly, and take the "
             "images again"
         )
-    if not found.used:
-        counted = sorted(((reasons.count(reason), reason) for reason in set(reasons)), reverse=True)
-        causes = _describe_causes(counted)
-        if ball_px is not None and counted and counted[0][1] == OVERSIZED:
-            usual_px = float(np.median([press.circle.radius_px for press in found.presses if press.circle is not None]))
-            raise CalibrationError(
-                f"the imprints have a radius of about {usual_px:.0f} px, larger than the ball's {ball_px:.2g} px; "
-                "check `ball_radius` and `mm_per_px`, both in mm"
-            )
-        raise CalibrationError(f"no image shows one whole ball ({causes}); {HOW_TO_PRESS}")
-
-
-def _describe_causes(counted: Sequence[tuple[int, str]]) -> str:
-    """Return the numbers of rejected images and the reasons in words, from the number for each reason."""
-    if not counted:
-        return "all show the untouched gel"
-    return "rejected: " + ", ".join(f"{reason} in {n} {'image' if n == 1 else 'images'}" for n, reason in counted)
-
-
-def _take_median(images: Sequence[Image]) -> Image:
-    """Return the median (H, W, 3) of at most 40 of the images. It shows marker dots, which are mostly unmoved."""
-    return np.rint(np.median(np.stack(images[:: max(1, len(images) // 40)]), axis=0)).astype(np.uint8)
+    if found.used:
+        return
+    counted = sorted(((reasons.count(reason), reason) for reason in set(reasons)), reverse=True)
+    if ball_px is not None and counted and counted[0][1] == OVERSIZED:
+        usual_px = float(np.median([press.circle.radius_px for press in found.presses if press.circle is not None]))
+        raise CalibrationError(
+            f"the imprints have a radius of about {usual_px:.0f} px, larger than the ball's {ball_px:.2g} px; check "
+            "`ball_radius` and `mm_per_px`, both in mm"
+        )
+    causes = ", ".join(f"{reason} in {n} {'image' if n == 1 else 'images'}" for n, reason in counted)
+    causes = f"rejected: {causes}" if causes else "all show the untouched gel"
+    raise CalibrationError(f"no image shows one whole ball ({causes}); {HOW_TO_PRESS}")
 
 
 def _choose_reference(images: Sequence[Image]) -> Float32:
@@ -160,8 +152,7 @@ def _choose_reference(images: Sequence[Image]) -> Float32:
 
     Relative to the best approximation, single imprints explain the largest share of the images' changes.
     """
-    stack = np.stack(images[:: max(1, len(images) // 40)])
-    median = np.median(stack, axis=0).astype(np.float32)
+    median = np.median(images[:: max(1, len(images) // MOST_STACKED)], axis=0).astype(np.float32)
     off = [float(np.abs(compare_colours(image, median)).mean()) for image in images]
     candidates = [median, _fit_smooth(median, np.ones(median.shape[:2], np.float32), 3)]
     candidates += [images[n].astype(np.float32) for n in np.argsort(off)[:TRIED]]
@@ -170,35 +161,27 @@ def _choose_reference(images: Sequence[Image]) -> Float32:
     return candidates[int(np.argmax(scores))]
 
 
-def _is_ball(imprint: Imprint | None) -> TypeGuard[Imprint]:
-    return imprint is not None and imprint.likeness >= LIKENESS and imprint.contrast >= CONTRAST
-
-
-def _find_quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[Imprint | None]) -> list[int]:
+def _find_quiet(images: Sequence[Image], reference: Float32, imprints: Sequence[Imprint]) -> list[int]:
     """Return the numbers of the untouched images: their strongest change is far below the contrast of a usual ball."""
-    contrasts = [imprint.contrast for imprint in imprints if _is_ball(imprint)]
+    contrasts = [imprint.contrast for imprint in imprints if imprint.is_ball]
     if not contrasts:
         return []
     usual, found = float(np.median(contrasts)), []
     for number, (image, imprint) in enumerate(zip(images, imprints, strict=True)):
-        least = max(CONTRAST / 2, (QUIET if _is_ball(imprint) else STILL) * usual)
-        if _measure_strongest(compare_colours(image, reference)) < least:
+        least = max(CONTRAST / 2, (QUIET if imprint.is_ball else STILL) * usual)
+        side = max(3, max(image.shape) // 40)
+        smooth = uniform_filter(compare_colours(image, reference), (side, side, 0))
+        if np.sqrt((smooth**2).mean(axis=2).max()) < least:
             found.append(number)
     return found
 
 
-def _measure_strongest(change: Float32) -> float:
-    """Smooth a change (H, W, 3), and return the largest change of a pixel, counts."""
-    side = max(3, max(change.shape) // 40)
-    return float(np.sqrt((uniform_filter(change, (side, side, 0)) ** 2).mean(axis=2).max()))
-
-
-def _piece_together(images: Sequence[Image], imprints: Sequence[Imprint | None]) -> Float32:
+def _piece_together(images: Sequence[Image], imprints: Sequence[Imprint]) -> Float32:
     """Compose the untouched gel (H, W, 3), counts, from images that all show a press.
 
     Raises CalibrationError when too few images show a ball.
     """
-    balls = [(image, i.circle) for image, i in zip(images, imprints, strict=True) if _is_ball(i)]
+    balls = [(image, i.circle) for image, i in zip(images, imprints, strict=True) if i.is_ball]
     if not balls:
         raise CalibrationError(f"no image shows one whole ball: {HOW_TO_PRESS}")
     gel = None
@@ -210,7 +193,7 @@ def _piece_together(images: Sequence[Image], imprints: Sequence[Imprint | None])
             )
         gel = _merge_away(balls)
         found = [(image, find_imprint(compare_colours(image, gel))) for image, _ in balls]
-        balls = [(image, i.circle) for image, i in found if _is_ball(i)]
+        balls = [(image, i.circle) for image, i in found if i.is_ball]
     assert gel is not None
     return gel
 
@@ -251,17 +234,15 @@ def _judge(frame: PressImage, image: Image, reference: Float32, gel: UntouchedGe
     """
     change = compare_colours(image, reference)
     imprint = find_imprint(change)
-    around = None
-    if imprint is not None:
-        around = imprint.circle.measure_distance_px(change.shape[:2]) < APART * imprint.circle.radius_px
+    around = imprint.circle.measure_distance_px(change.shape[:2]) < APART * imprint.circle.radius_px
     dotted = gel.add_dots(reference)
     moved = change if gel.dots is None else compare_colours(frame.image, dotted)
     if (shift_px := _measure_shift(moved, dotted, around)) > MOVED_PX:
         return FoundPress(frame, None, f"camera moved by {shift_px:.1f} px")
-    if imprint is None or around is None or imprint.contrast < CONTRAST or imprint.likeness < BLURRED:
+    if imprint.contrast < CONTRAST or imprint.likeness < BLURRED:
         return FoundPress(frame, None, "no ball found")
     other = find_imprint(change, around)
-    if _is_ball(other) and other.contrast > SECOND * imprint.contrast:
+    if other.is_ball and other.contrast > SECOND * imprint.contrast:
         return FoundPress(frame, imprint.circle, "two balls")
     if imprint.likeness < LIKENESS:
         return FoundPress(frame, None, "no ball found")
@@ -282,13 +263,13 @@ def _find_fault(image: Image, reference: Float32, circle: Circle, ball_px: float
     return ""
 
 
-def _measure_shift(change: Float32, reference: Float32, touched: Mask | None) -> float:
+def _measure_shift(change: Float32, reference: Float32, touched: Mask) -> float:
     """Return the shift of the gel's texture outside the touched pixels (H, W), pixels; 0 without a clear shift.
 
     A small shift is found by least squares: the change is a multiple of the gel's gradients. A large shift is found by
     correlation.
     """
-    free = np.ones(change.shape[:2], bool) if touched is None else ~touched
+    free = ~touched
     gel, seen = _extract_details(reference), _extract_details(change)
     if free.mean() < LEAST_FREE or np.quantile(np.abs(gel[free]), 0.99) < SEEN:
         return 0.0

@@ -1,9 +1,8 @@
 """The optics of a sensor (coloured lamps, the unpressed gel's curvature, the camera), and the optics of known makes.
 
 Angles and directions refer to the image: x right, y down, and elevation from the sensing surface towards the camera.
-Lengths in the housing are in units of the field's radius, which is half the sensing rectangle's diagonal. The same
-optics therefore fit sensors of every size. Lengths on the surface are in metres. Impossible values raise pydantic's
-ValidationError.
+The field's radius is half the sensing rectangle's diagonal. Lengths on the surface are in metres. Impossible values
+raise pydantic's ValidationError.
 """
 
 from __future__ import annotations
@@ -24,32 +23,26 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Colour = tuple[Share, Share, Share]
 
-NEAREST = 1.2  # least distance of a lamp, field radii; the model of a lamp does not hold directly above the gel
-
 
 @dataclass(frozen=True)
 class Light:
-    """A coloured lamp.
+    """A distant coloured lamp.
 
     `direction` (3,) points from the middle of the surface to the lamp: x right, y down, z to the camera. `colour` (3,)
     is the lamp's red, green and blue as the camera records them. `strength` is the brightness, as a share of full
-    white, of a surface in the middle of the field that faces the lamp. `distance` is in field radii. The light falls
-    off with the inverse square of the distance. A lamp without a distance is infinitely far, and gives even light.
+    white, of a surface that faces the lamp.
     """
 
     direction: tuple[Finite, Finite, Positive]
     colour: Colour
     strength: Share
-    distance: Annotated[float, Field(ge=NEAREST, allow_inf_nan=False)] | None = None
 
     @classmethod
-    def at(
-        cls, azimuth_rad: float, elevation_rad: float, colour: Colour, strength: float, distance: float | None = None
-    ) -> Light:
+    def at(cls, azimuth_rad: float, elevation_rad: float, colour: Colour, strength: float) -> Light:
         """Return the light with an azimuth, from image right towards image down, and an elevation, both in radians."""
         flat = math.cos(elevation_rad)
         direction = (flat * math.cos(azimuth_rad), flat * math.sin(azimuth_rad), math.sin(elevation_rad))
-        return cls(direction, colour, strength, distance)
+        return cls(direction, colour, strength)
 
     @property
     def azimuth_rad(self) -> float:
@@ -63,7 +56,7 @@ class Light:
 
     def vary(self, rng: np.random.Generator, strength: float) -> Light:
         """Return a random variant of the light; `strength` 1 (unitless) is the usual spread between sensors."""
-        up, *colour, turned, brighter, farther = strength * rng.normal(size=7)
+        up, *colour, turned, brighter, _ = strength * rng.normal(size=7)  # seven, as when lamps had a distance
         elevation = self.elevation_rad + math.radians(3) * up
         red, green, blue = (c * math.exp(0.1 * spread) for c, spread in zip(self.colour, colour, strict=True))
         return Light.at(
@@ -71,7 +64,6 @@ class Light:
             min(max(elevation, math.radians(5)), math.radians(89)),
             (red, green, blue),
             self.strength * math.exp(0.15 * brighter),
-            self.distance and max(NEAREST, self.distance * math.exp(0.15 * farther)),
         )
 
 
@@ -139,7 +131,7 @@ class Optics:
 
 
 def _arrange(*lamps: tuple[float, float, float, Colour]) -> tuple[Light, ...]:
-    """Return the distant lights of `lamps`, each (azimuth, elevation, strength, colour), angles in degrees."""
+    """Return the lights of `lamps`, each (azimuth, elevation, strength, colour), angles in degrees."""
     return tuple(Light.at(math.radians(a), math.radians(e), c, s) for a, e, s, c in lamps)
 
 

@@ -33,10 +33,9 @@ def render_images(
     the photo. Outside the sensing rectangle, a press changes pixels only by the lens's blur. Raises ConfigError for
     a photo that does not fit the sensor.
     """
-    field = _Field(geometry)
-    counts = field.compute_brightness(np.asarray(indentation_m, np.float32), optics)
+    counts = _compute_brightness(np.asarray(indentation_m, np.float32), geometry, optics)
     if background is not None:
-        unpressed = field.compute_brightness(np.zeros((1, *geometry.shape), np.float32), optics)
+        unpressed = _compute_brightness(np.zeros((1, *geometry.shape), np.float32), geometry, optics)
         counts += _check_photo(background, geometry) - unpressed
     return _expose(counts, optics, rng)
 
@@ -62,76 +61,54 @@ def measure_slopes(indentation_m: Float32, geometry: SensorGeometry) -> tuple[Fl
     return slope_x, slope_y
 
 
-class _Field:
-    """The sensor's field: the positions of its pixels, in field radii from the middle of the sensing rectangle."""
+def _compute_brightness(indentation_m: Float32, geometry: SensorGeometry, optics: Optics) -> Float32:
+    """Return the brightness (3, N, H, W), counts, of gels with indentations (N, H, W), metres.
 
-    def __init__(self, geometry: SensorGeometry) -> None:
-        self.geometry = geometry
-        whole = GelPixels.of(dataclasses.replace(geometry, rectangle_m=None))
-        x0, x1, y0, y1 = geometry.rectangle
-        radius_m = math.hypot(x1 - x0, y1 - y0) / 2
-        self.x = ((whole.x_m - (x0 + x1) / 2) / radius_m).astype(np.float32)[None, :]
-        self.y = ((whole.y_m - (y0 + y1) / 2) / radius_m).astype(np.float32)[:, None]
-        self.whole = whole
+    The brightness is neither clipped nor noisy.
+    """
+    whole = GelPixels.of(dataclasses.replace(geometry, rectangle_m=None))
+    x0, x1, y0, y1 = geometry.rectangle
+    radius_m = math.hypot(x1 - x0, y1 - y0) / 2
+    x = ((whole.x_m - (x0 + x1) / 2) / radius_m).astype(np.float32)[None, :]  # from the middle of the sensing rectangle
+    y = ((whole.y_m - (y0 + y1) / 2) / radius_m).astype(np.float32)[:, None]
+    relief_m = geometry.relief_m
+    slope_x, slope_y = measure_slopes(indentation_m if relief_m is None else indentation_m - relief_m, geometry)
+    if relief_m is None:  # then the dome describes the gel's curvature
+        slope_x += np.float32(optics.dome) * x
+        slope_y += np.float32(optics.dome) * y
+    upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)  # the normal's component towards the camera
+    counts = np.empty((3, *indentation_m.shape), np.float32)
+    counts[:] = np.reshape(optics.ambient, (3, 1, 1, 1))
+    for light in optics.lights:
+        shade = _shade(light, slope_x, slope_y, upright, optics)
+        for channel, share in enumerate(light.colour):
+            if share > 0:
+                counts[channel] += np.float32(light.strength * share) * shade
+    seen = 1 - np.float32(optics.vignetting) * (x**2 + y**2)
+    counts *= np.float32(WHITE) * np.maximum(seen, 0)  # an image may reach beyond the field
+    if optics.blur_m > 0:
+        for channel in counts:
+            channel[...] = whole.blur(channel, optics.blur_m)
+    return counts
 
-    def compute_brightness(self, indentation_m: Float32, optics: Optics) -> Float32:
-        """Return the brightness (3, N, H, W), counts, of gels with indentations (N, H, W), metres.
 
-        The brightness is neither clipped nor noisy.
-        """
-        relief_m = self.geometry.relief_m
-        below_m = indentation_m if relief_m is None else indentation_m - relief_m
-        slope_x, slope_y = measure_slopes(below_m, self.geometry)
-        if relief_m is None:  # then the dome describes the gel's curvature
-            slope_x += np.float32(optics.dome) * self.x
-            slope_y += np.float32(optics.dome) * self.y
-        upright = 1 / np.sqrt(1 + slope_x**2 + slope_y**2)  # the normal's component towards the camera
-        counts = np.empty((3, *indentation_m.shape), np.float32)
-        counts[:] = np.reshape(optics.ambient, (3, 1, 1, 1))
-        for light in optics.lights:
-            shade = self._shade(light, slope_x, slope_y, upright, optics)
-            for channel, share in enumerate(light.colour):
-                if share > 0:
-                    counts[channel] += np.float32(light.strength * share) * shade
-        seen = 1 - np.float32(optics.vignetting) * (self.x**2 + self.y**2)
-        counts *= np.float32(WHITE) * np.maximum(seen, 0)  # an image may reach beyond the field
-        if optics.blur_m > 0:
-            for channel in counts:
-                channel[...] = self.whole.blur(channel, optics.blur_m)
-        return counts
+def _shade(light: Light, slope_x: Float32, slope_y: Float32, upright: Float32, optics: Optics) -> Float32:
+    """Return the share (N, H, W) of a light of strength 1 that the surface reflects, by Lambert's law and gloss.
 
-    def _shade(self, light: Light, slope_x: Float32, slope_y: Float32, upright: Float32, optics: Optics) -> Float32:
-        """Return the share (N, H, W) of a light of strength 1 that the surface reflects, by Lambert's law and gloss.
-
-        The normal is (-slope_x, -slope_y, 1) / length. The z axes of normals and of the light's direction point towards
-        the camera.
-        """
-        x, y, z, falloff = self._aim(light)
-        shade: Float32 = slope_x * -x
-        shade -= slope_y * y
-        shade += z
-        shade *= upright
-        np.maximum(shade, 0, out=shade)
-        if optics.specular > 0:
-            length = np.sqrt(x * x + y * y + (1 + z) ** 2)  # length of the sum of the directions to light and camera
-            half = np.maximum(((1 + z) - x * slope_x - y * slope_y) * upright / length, 0)
-            shade += np.where(shade > 0, np.float32(optics.specular) * half ** np.float32(optics.shininess), 0)
-        shade *= falloff
-        return shade
-
-    def _aim(self, light: Light) -> tuple[Any, Any, Any, Any]:
-        """Return the unit vectors (x, y, z) from the pixels to a light, and the light's fall-off at the pixels.
-
-        All four broadcast to (H, W). The fall-off is 1 in the middle of the field.
-        """
-        direction = np.asarray(light.direction, np.float64) / np.linalg.norm(light.direction)
-        if light.distance is None:
-            x, y, z = (np.float32(v) for v in direction)
-            return x, y, z, np.float32(1)
-        lamp = (light.distance * direction).astype(np.float32)
-        dx, dy = lamp[0] - self.x, lamp[1] - self.y
-        away = np.sqrt(dx * dx + dy * dy + lamp[2] ** 2)
-        return dx / away, dy / away, lamp[2] / away, (np.float32(light.distance) / away) ** 2
+    The normal is (-slope_x, -slope_y, 1) / length. The z axes of normals and of the light's direction point towards the
+    camera.
+    """
+    x, y, z = (np.asarray(light.direction) / np.linalg.norm(light.direction)).astype(np.float32)
+    shade: Float32 = slope_x * -x
+    shade -= slope_y * y
+    shade += z
+    shade *= upright
+    np.maximum(shade, 0, out=shade)
+    if optics.specular > 0:
+        length = np.sqrt(x * x + y * y + (1 + z) ** 2)  # length of the sum of the directions to light and camera
+        half = np.maximum(((1 + z) - x * slope_x - y * slope_y) * upright / length, 0)
+        shade += np.where(shade > 0, np.float32(optics.specular) * half ** np.float32(optics.shininess), 0)
+    return shade
 
 
 def _check_photo(background: Image, geometry: SensorGeometry) -> Float32:

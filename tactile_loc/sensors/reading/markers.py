@@ -95,7 +95,7 @@ class UntouchedGel:
         dots = find_dots(reduced)
         if dots is None:
             return cls(image, image, reduced)
-        hidden = _widen(mark_dots(reduced, dots), times)
+        hidden = mark_dots(reduced, dots, widen=times > 1)
         if (covered := float(hidden.mean())) > MOST_COVERED:
             raise CalibrationError(
                 f"{len(dots)} marker dots cover {100 * covered:.0f} % of the untouched gel's image, but at most "
@@ -115,7 +115,7 @@ class UntouchedGel:
         if self.dots is None:
             return image
         reduced = reduce_image(image, self.dots.shape)
-        hidden = _widen(mark_dots(reduced, self.dots), image.shape[1] // reduced.shape[1])
+        hidden = mark_dots(reduced, self.dots, widen=image.shape[1] >= 2 * reduced.shape[1])
         change = continue_values(reduced.astype(np.float32) - self.small, hidden)
         return np.where(_enlarge(hidden, image), _convert(_enlarge(change, image) + self.clear), image)
 
@@ -272,10 +272,11 @@ def match_dots(image: Image, dots: Dots) -> Array:
     return centres
 
 
-def mark_dots(image: Image, dots: Dots) -> Mask:
+def mark_dots(image: Image, dots: Dots, widen: bool = False) -> Mask:
     """Mark the pixels (H, W) of an image (H, W, 3) of a touch that dots darken.
 
     Dots are stretched with the surface. Therefore pixels beside a dot count if they are darker than the gel around it.
+    Pass `widen` for a reduced image, whose pixels at a dot's border are partly darkened.
     """
     away = _measure_distances(match_dots(image, dots), dots.shape)
     hidden, near = away < dots.radius_px, away < STRETCH * dots.radius_px + 1
@@ -283,7 +284,7 @@ def mark_dots(image: Image, dots: Dots) -> Mask:
     for _ in range(ROUNDS):
         gel = continue_values(shade[..., None], binary_dilation(hidden), bent=False)[..., 0]
         hidden = hidden | (near & (shade - gel > least))
-    return np.asarray(hidden)
+    return np.asarray(binary_dilation(hidden) if widen else hidden)
 
 
 def continue_values(values: Float32, hidden: Mask, bent: bool = True) -> Float32:
@@ -315,11 +316,6 @@ def _make_stencils(shape: tuple[int, int], bent: bool) -> Any:
     height, width = shape
     laplacian = (kron(chain(height), eye_array(width)) + kron(eye_array(height), chain(width))).tocsr()
     return (laplacian @ laplacian).tocsr() if bent else laplacian
-
-
-def _widen(hidden: Mask, times: int) -> Mask:
-    """Widen the hidden pixels (h, w) of a reduced image, whose pixels at a dot's border are partly darkened."""
-    return np.asarray(binary_dilation(hidden)) if times > 1 else hidden
 
 
 def _enlarge(values: Float32 | Mask, image: Image | Float32) -> Any:

@@ -246,15 +246,8 @@ class Health:
 
     def compare(self, usual: Health) -> float:
         """Divide both figures by those of `usual`, the calibration's worst press, and return the larger ratio."""
-        return float(np.fmax(self._compare_light(usual), self.unfit / np.fmax(usual.unfit, LEAST_UNFIT)))
-
-    def _compare_light(self, usual: Health) -> float:
-        return self.light / max(usual.light, LEAST_LIGHT)
-
-    def explain(self, usual: Health) -> str:
-        """Return the cause that the worse of the two figures suggests, in words."""
-        worse_light = self._compare_light(usual) >= self.compare(usual)
-        return "the light has changed" if worse_light else "the slopes fit no surface"
+        light = self.light / max(usual.light, LEAST_LIGHT)
+        return float(np.fmax(light, self.unfit / np.fmax(usual.unfit, LEAST_UNFIT)))
 
     def record(self) -> dict[str, float | None]:
         """Return the figures as JSON values."""
@@ -301,8 +294,10 @@ def require_healthy(found: Health, usual: Health) -> None:
     figure = found.compare(usual)
     if figure <= WARNED:
         return
+    of_light = figure == replace(found, unfit=np.nan).compare(usual)
+    cause = "the light has changed" if of_light else "the slopes fit no surface"
     text = (
-        f"the image deviates {figure:.1f} times as much as the calibration's worst press ({found.explain(usual)}); "
+        f"the image deviates {figure:.1f} times as much as the calibration's worst press ({cause}); "
         "give a new image of the untouched gel (`zero`), or calibrate the sensor again"
     )
     if figure > REFUSED:

@@ -59,7 +59,8 @@ def find_indentation(slope: NDArray[np.floating], geometry: SensorGeometry) -> F
     the steep pixels rise.
     """
     surface = integrate(slope, geometry)
-    steepness = _measure_steepness(slope, geometry)
+    sigma = SMOOTHING_M / geometry.pixel_pitch_m
+    steepness = np.hypot(*(gaussian_filter(slope[..., i], sigma) for i in (0, 1)))
     steep = steepness > _choose_threshold(steepness, TOUCHED_SLOPE)
     touched = _fill_holes(steep)
     touched |= _find_plateaus(touched, slope)
@@ -97,12 +98,6 @@ def _find_plateaus(steep: NDArray[np.bool_], slope: NDArray[np.floating]) -> NDA
     plateaus = (rise > RISING_SLOPE * pixels)[parts]
     untouched = ~(steep | plateaus)
     return np.asarray(plateaus & (untouched.mean() > LEAST_UNTOUCHED))
-
-
-def _measure_steepness(slope: NDArray[np.floating], geometry: SensorGeometry) -> NDArray[np.float64]:
-    """Return the magnitude (H, W), unitless, of the smoothed slope."""
-    sigma = SMOOTHING_M / geometry.pixel_pitch_m
-    return np.asarray(np.hypot(*(gaussian_filter(slope[..., i], sigma) for i in (0, 1))))
 
 
 def _choose_threshold(values: NDArray[np.float64], least: float) -> float:

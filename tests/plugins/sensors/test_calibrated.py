@@ -23,12 +23,10 @@ from press_sets import (  # noqa: E402
     write_image,
 )
 
-from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, NoContactError, TouchError, WeightsError  # noqa: E402
+from tactile_loc.core.runtime.errors import NoContactError, TouchError  # noqa: E402
 from tactile_loc.core.sensing.touch import ContactShape, Touch  # noqa: E402
 from tactile_loc.io.touches import read_touch  # noqa: E402
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
-from tactile_loc.sensors.optics.lamps import OPTICS  # noqa: E402
-from tactile_loc.sensors.optics.shading import render_background  # noqa: E402
 from tactile_loc.sensors.reading.reading import SKIRT  # noqa: E402
 from tactile_loc.slots.registry import registry  # noqa: E402
 
@@ -53,12 +51,9 @@ def truth() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def photo(truth: np.ndarray) -> np.ndarray:
-    return photographed(truth[None], BALLS.geometry)[0]
-
-
-def test_the_calibrated_sensor_is_registered(sensor):
-    assert isinstance(sensor, CalibratedSensor)
-    assert sensor.geometry.is_same_sensor(BALLS.geometry)
+    image = photographed(truth[None], BALLS.geometry)[0]
+    image.flags.writeable = False
+    return image
 
 
 def test_the_untouched_gel_is_no_contact_for_a_wrong_estimator(folder):
@@ -85,21 +80,6 @@ def test_an_image_of_a_ball_gives_the_contact_shape_of_the_ball(sensor, photo):
     Touch(shape, sensor.geometry)
 
 
-def test_a_read_only_image_is_accepted(sensor, photo):
-    fixed = photo.copy()
-    fixed.flags.writeable = False
-    np.testing.assert_array_equal(sensor.contact_shape(fixed).depth_m, sensor.contact_shape(photo).depth_m)
-
-
-def test_a_deeper_press_gives_a_larger_contact(sensor):
-    shapes = [
-        sensor.contact_shape(photographed(ball_indentation(BALLS.geometry, press_m=p)[None], BALLS.geometry)[0])
-        for p in (3e-4, 8e-4)
-    ]
-    assert shapes[0].press_depth_m < 0.5 * shapes[1].press_depth_m
-    assert shapes[0].contact.sum() < 0.6 * shapes[1].contact.sum()
-
-
 def test_an_image_without_contact_gives_an_error(sensor):
     for image in (BALLS.background, BALLS.background + np.uint8(1)):
         with pytest.raises(NoContactError, match=naming("0.05 mm")):
@@ -115,23 +95,10 @@ def test_contact_shapes_stay_unchanged(sensor, truth):
         sensor.contact_shape(depth[:20])
 
 
-@pytest.mark.parametrize(
-    ("change", "value"),
-    [
-        (lambda image: image[:50], "64 x 50 px"),
-        (lambda image: image[..., 1], "(64, 64)"),
-        (lambda image: np.dstack([image, image[..., 0]]), "(64, 64, 4)"),
-        (lambda image: image / 255.0, "float64"),
-        (lambda image: render_background(BALLS.geometry, OPTICS["digit"]), "calibrate"),
-        (lambda image: 0 * image, "black"),
-        (lambda image: image[0, 0], "(3,)"),
-        (lambda image: image[:0], "64 x 0"),
-    ],
-    ids=["cropped", "grey", "alpha", "float", "another sensor's", "black", "one pixel", "empty"],
-)
-def test_images_of_other_sensors_are_refused(sensor, photo, change, value):
-    with pytest.raises(TouchError, match=naming(value)):
-        sensor.contact_shape(change(photo))
+def test_images_of_other_sensors_are_refused(sensor, photo):
+    for image, value in ((photo[:50], "64 x 50 px"), (photo[..., 1], "(64, 64)"), (0 * photo, "black")):
+        with pytest.raises(TouchError, match=naming(value)):
+            sensor.contact_shape(image)
 
 
 def brighter(image: np.ndarray) -> np.ndarray:
@@ -163,15 +130,6 @@ def test_lamps_of_other_colours_are_refused_in_spite_of_a_zero_image(folder, pho
         zeroed.contact_shape(other(photo))
 
 
-def test_an_invalid_zero_image_is_refused(folder, photo, tmp_path):
-    with pytest.raises(TouchError, match=naming("64 x 50", "64 x 64")):
-        with_zero(folder, BALLS.background[:50], tmp_path / "zero.png")
-    text = tmp_path / "zero.txt"
-    text.write_text("no image")
-    with pytest.raises(TouchError, match=naming("zero.txt", "`zero`")):
-        CalibratedSensor(CalibratedSensor.Options(path=str(folder), zero=str(text)))
-
-
 def test_a_calibration_without_health_data_is_read(folder, photo, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
@@ -179,9 +137,6 @@ def test_a_calibration_without_health_data_is_read(folder, photo, tmp_path):
     del record["health"]
     (copy / "calibration.json").write_text(json.dumps(record))
     assert CalibratedSensor(CalibratedSensor.Options(path=str(copy))).contact_shape(photo).contact.any()
-    (copy / "calibration.json").write_text(json.dumps({**record, "health": {"light": "much"}}))
-    with pytest.raises(CalibrationError, match=naming("calibration.json", "health")):
-        CalibratedSensor(CalibratedSensor.Options(path=str(copy)))
 
 
 def test_a_photo_file_is_read(sensor, photo, tmp_path):
@@ -196,36 +151,6 @@ def test_a_photo_file_is_read(sensor, photo, tmp_path):
         read_touch(untouched, sensor)
 
 
-def test_the_description_depends_on_the_content_of_the_folder(sensor, folder, tmp_path):
-    described = sensor.describe()
-    assert str(folder) not in json.dumps(described)
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
-    again = CalibratedSensor(CalibratedSensor.Options(path=str(copy)))
-    assert again.describe() == described
-    write_calibrated(copy, BALLS, steps=2)
-    other = CalibratedSensor(CalibratedSensor.Options(path=str(copy)))
-    assert other.describe() != described
-
-
 def test_a_home_folder_is_found(folder, monkeypatch):
     monkeypatch.setenv("HOME", str(folder.parent))
     assert CalibratedSensor(CalibratedSensor.Options(path="~/sensor")).geometry.shape == (64, 64)
-
-
-def test_an_invalid_calibration_folder_is_refused(tmp_path):
-    with pytest.raises(CalibrationError, match=naming(tmp_path / "none", "tactile-loc calibrate")):
-        CalibratedSensor(CalibratedSensor.Options(path=str(tmp_path / "none")))
-    with pytest.raises(CalibrationError, match=naming(tmp_path, "sensor.toml")):
-        CalibratedSensor(CalibratedSensor.Options(path=str(tmp_path)))
-    with pytest.raises(ConfigError, match=naming("'calibrated'", "path")):
-        registry().create("sensor", "calibrated", {})
-
-
-def test_damaged_weights_are_refused(folder, photo, tmp_path):
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
-    weights = copy / "estimator.safetensors"
-    weights.write_bytes(weights.read_bytes()[:-40])
-    with pytest.raises(WeightsError, match=r"estimator\.safetensors"):
-        CalibratedSensor(CalibratedSensor.Options(path=str(copy))).contact_shape(photo)

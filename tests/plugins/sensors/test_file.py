@@ -8,10 +8,9 @@ import pytest
 from message_helpers import naming
 from PIL import Image
 
-from tactile_loc.core.runtime.errors import SensorError, TouchError
+from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.io.sensor_files import _Orthographic, _Pinhole, read_sensor_file
 from tactile_loc.plugins.sensors.file import FileSensor
-from tactile_loc.plugins.sensors.presets import GelSightMini, GelSlim
 from tactile_loc.slots.registry import registry
 
 ROOT = Path(__file__).parents[3]
@@ -71,14 +70,6 @@ def test_the_commented_lines_of_the_example_work(tmp_path: Path) -> None:
     assert read_sensor_file(flat).pixel_pitch_m == pytest.approx(0.0634 * MM)
 
 
-def test_a_file_can_describe_the_preset_sensors(tmp_path: Path) -> None:
-    gelslim = read_sensor_file(write(tmp_path, PINHOLE))
-    native = GelSlim(GelSlim.Options(image_size_px=(470, 470))).geometry
-    assert gelslim.describe() == pytest.approx(native.describe())
-    mini = read_sensor_file(write(tmp_path, ORTHOGRAPHIC))
-    assert mini.describe() == pytest.approx(GelSightMini().geometry.describe())
-
-
 def test_pixels_need_not_be_square_and_lengths_are_in_metres(tmp_path: Path) -> None:
     geometry = read_sensor_file(write(tmp_path, ORTHOGRAPHIC, mm_per_px="[0.05, 0.1]", standoff_mm="7"))
     x0, x1, y0, y1 = geometry.rectangle
@@ -108,15 +99,6 @@ def test_the_description_depends_on_the_content_of_the_file(tmp_path: Path) -> N
 
     assert describe("a") == describe("b")
     assert describe("a") != describe("a", standoff_mm="26")
-
-
-def test_a_sensor_from_a_file_accepts_depths_and_no_images(tmp_path: Path) -> None:
-    sensor = FileSensor(FileSensor.Options(path=str(write(tmp_path, ORTHOGRAPHIC))))
-    depth = np.full((240, 320), np.inf)
-    depth[:10] = 0.1 * MM
-    assert sensor.contact_shape(depth).contact.sum() == 3200
-    with pytest.raises(TouchError, match="`sensor`"):
-        sensor.contact_shape(np.zeros((240, 320, 3), np.uint8))
 
 
 @pytest.mark.parametrize(

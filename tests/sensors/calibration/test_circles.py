@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from press_sets import BALL_M, ball_indentation, gel_under, sensor, visible_radius
+from press_sets import ball_indentation, gel_under, sensor, visible_radius
 
 from tactile_loc.sensors.calibration.circles import (
     Circle,
@@ -14,7 +14,6 @@ from tactile_loc.sensors.calibration.circles import (
     find_imprint,
     find_rim,
     measure_concentration,
-    measure_contrast,
 )
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
@@ -35,21 +34,12 @@ def photos(places=PLACES, optics=OPTICS["gelslim"], seed=0, together=False) -> t
 def found(picture: np.ndarray, gel: np.ndarray) -> Circle:
     change = compare_colours(picture, gel)
     imprint = find_imprint(change)
-    assert imprint is not None
     assert imprint.likeness > 0.7
     return find_rim(change, imprint.circle)
 
 
 def off_px(circle: Circle, x_m: float, y_m: float) -> float:
     return float(np.hypot(circle.x_px - 80 - SCALE * x_m, circle.y_px - 80 - SCALE * y_m))
-
-
-def brighter_on_one_side(optics):
-    lights = tuple(
-        dataclasses.replace(light, distance=1.6, strength=light.strength * share)
-        for light, share in zip(optics.lights, (1.3, 0.6, 1.0), strict=False)
-    )
-    return dataclasses.replace(optics, lights=lights, vignetting=0.3)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +49,7 @@ def brighter_on_one_side(optics):
         (OPTICS["gelslim"], 0.5),
         (OPTICS["gelsight-mini"], 0.5),
         (OPTICS["digit"], 0.7),
-        (brighter_on_one_side(OPTICS["gelslim"]), 0.7),
+        (dataclasses.replace(OPTICS["gelslim"], dome=0.6, vignetting=0.6), 0.7),
     ],
     ids=["clean", "gelslim", "gelsight-mini", "digit", "uneven light"],
 )
@@ -70,12 +60,6 @@ def test_circles_are_found_at_the_balls(optics, most_px):
         assert off_px(circle, x, y) < most_px
         contact_px = SCALE * float(visible_radius(np.array([press]))[0])
         assert 0.95 * contact_px < circle.radius_px < 1.35 * contact_px  # the visible circle includes the gel's skirt
-
-
-def test_deeper_presses_have_larger_circles():
-    gel, pictures = photos([(0.0, 0.0, press) for press in (3e-4, 5e-4, 7e-4, 9e-4)])
-    radii = [found(picture, gel).radius_px for picture in pictures]
-    assert sorted(radii) == radii
 
 
 def test_neither_strong_noise_nor_a_scratch_on_the_gel_moves_the_circles():
@@ -98,8 +82,8 @@ def test_a_circle_that_crosses_the_border_has_an_overhang():
 def test_noise_alone_contains_no_ball():
     rng = np.random.default_rng(0)
     imprint = find_imprint(rng.normal(0, 2, (*GEOMETRY.shape, 3)).astype(np.float32))
-    assert imprint is None or imprint.likeness < 0.4
-    assert find_imprint(np.zeros((*GEOMETRY.shape, 3), np.float32)) is None
+    assert imprint.likeness < 0.4
+    assert not find_imprint(np.zeros((*GEOMETRY.shape, 3), np.float32)).is_ball
     assert measure_concentration(np.zeros((*GEOMETRY.shape, 3), np.float32)) == 0
 
 
@@ -107,9 +91,7 @@ def test_masking_the_first_ball_reveals_the_second():
     gel, pictures = photos([(-4e-3, 0.0, 9e-4), (4e-3, 1e-3, 6e-4)], together=True)
     change = compare_colours(pictures[0], gel)
     first = find_imprint(change)
-    assert first is not None
     second = find_imprint(change, first.circle.measure_distance_px(GEOMETRY.shape) < 2.2 * first.circle.radius_px)
-    assert second is not None
     xs = sorted(imprint.circle.x_px for imprint in (first, second))
     np.testing.assert_allclose(xs, [40, 120], atol=2)
     alone = compare_colours(photos(PLACES[1:2])[1][0], gel)
@@ -121,4 +103,4 @@ def test_the_change_ignores_a_uniform_brightness_shift():
     change = compare_colours(pictures[0], gel)
     brighter = compare_colours(pictures[0].astype(np.float32) + 5, gel)
     np.testing.assert_allclose(brighter, change, atol=1e-4)
-    assert measure_contrast(change, Circle(80 - 3e-3 * SCALE, 80 + 2e-3 * SCALE, BALL_M * SCALE / 2)) > 10
+    assert find_imprint(change).contrast > 10

@@ -81,12 +81,6 @@ def test_an_existing_calibration_is_replaced_completely(folder):
     assert [path.name for path in folder.parent.iterdir()] == ["sensor"]
 
 
-def test_an_empty_folder_may_be_used(tmp_path):
-    (tmp_path / "new").mkdir()
-    read_calibration(write(tmp_path / "new"))
-    read_calibration(write(tmp_path / "deep" / "er"))
-
-
 @pytest.mark.parametrize("other", ["presses.csv", ".git", "sensor.toml.bak"])
 def test_a_folder_with_other_files_is_not_changed(folder, other):
     (folder / other).write_text("mine")
@@ -97,7 +91,10 @@ def test_a_folder_with_other_files_is_not_changed(folder, other):
     assert contents(folder) == before
 
 
-def test_leftovers_of_a_killed_process_and_of_macos_do_not_prevent_writing(folder):
+def test_empty_folders_leftovers_of_a_killed_process_and_files_of_macos_do_not_prevent_writing(folder, tmp_path):
+    (tmp_path / "new").mkdir()
+    read_calibration(write(tmp_path / "new"))
+    read_calibration(write(tmp_path / "deep" / "er"))
     (folder / ".tmp-new-held-out.png").mkdir()
     for name in (".DS_Store", "._sensor.toml"):  # of macOS
         (folder / name).touch()
@@ -208,6 +205,7 @@ def test_a_record_that_is_not_a_complete_object_is_refused(folder, text):
         ("estimator", None),
         ("options", None),
         ("options", 3),
+        ("health", {"light": "much"}),
         ("camera_px", 200),
         ("camera_px", [200]),
         ("camera_px", [200, -1]),
@@ -243,6 +241,8 @@ def test_a_background_or_a_sensor_file_of_another_sensor_is_refused(folder):
 
 
 def test_an_unfit_image_of_the_untouched_gel_is_named(folder, tmp_path):
-    zero = write_image(tmp_path / "photo.png", 255 - BALLS.background)
-    with pytest.raises(TouchError, match=naming(zero, "`zero`", "calibrate again")):
-        read_calibration(folder, zero)
+    strange, cut = 255 - BALLS.background, BALLS.background[:50]
+    for image, words in ((strange, ["calibrate again"]), (cut, ["64 x 50", "64 x 64"]), (None, ["No such file"])):
+        zero = tmp_path / "none.png" if image is None else write_image(tmp_path / "photo.png", image)
+        with pytest.raises(TouchError, match=naming(zero, "`zero`", *words)):
+            read_calibration(folder, zero)

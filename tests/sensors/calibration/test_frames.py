@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 import os
 from pathlib import Path
@@ -16,8 +15,6 @@ from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.sensors.calibration.frames import PressImage, choose_frames, read_frames, take_frames
-from tactile_loc.sensors.calibration.labelling import write_labels
-from tactile_loc.sensors.calibration.presses import read_presses
 from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
@@ -44,10 +41,16 @@ def frames(*more: np.ndarray, untouched: int = 1) -> list[PressImage]:
     return [PressImage(f"{n:02d}.png", image) for n, image in enumerate(images)]
 
 
+def hand_on_gel() -> np.ndarray:
+    y, x = np.mgrid[:80, :80]
+    return np.clip(GEL + 40 * ((x > 30) & (y > 20 + x / 4))[..., None], 0, 255).astype(np.uint8)
+
+
 BAD = {  # images by the reason for dropping them
     "two balls": pressed((-4e-3, -2e-3), (4e-3, 2e-3)),
     "cut off at the border": pressed((7.4e-3, 0.0)),
     "over-exposed": np.clip(GEL + 8 * (PRESSES[1].astype(int) - GEL), 0, 255).astype(np.uint8),
+    "no ball found": hand_on_gel(),
 }
 
 
@@ -87,16 +90,6 @@ def test_bad_images_are_dropped_with_the_reason(with_bad_ones):
     assert len(with_bad_ones.used) == len(PRESSES)
 
 
-@pytest.mark.slow
-def test_a_hand_on_the_gel_is_dropped():
-    y, x = np.mgrid[:80, :80]
-    shade = 40 * (x > 30) * (y > 20 + x / 4)
-    hand = np.clip(GEL + shade[..., None], 0, 255).astype(np.uint8)
-    found = find_presses(frames(hand), 1e3 * BALL_M / MM_PER_PX)
-    assert len(found.used) == len(PRESSES)
-    assert found.presses[-1].dropped
-
-
 def textured(shift: int) -> np.ndarray:
     dots = 3 * gaussian_filter(np.random.default_rng(5).normal(0, 25, (100, 120, 1)), (1.5, 1.5, 0))
     return dots[10:90, 10 + shift : 90 + shift]
@@ -126,30 +119,6 @@ def test_images_without_a_ball_of_a_ball_larger_than_the_image_and_too_few_image
             find_presses(images)
     with pytest.raises(CalibrationError, match=naming(2, 30)):
         find_presses(frames()[:2])
-
-
-def test_the_written_table_is_readable_and_never_overwritten(with_bad_ones, tmp_path):
-    found = with_bad_ones
-    for frame in frames(*BAD.values()):
-        write_image(tmp_path / frame.name, frame.image)
-    write_labels(tmp_path, found, 1e3 * BALL_M, MM_PER_PX)
-    presses = read_presses(tmp_path, GEOMETRY)
-    assert len(presses) == len(PRESSES)
-    np.testing.assert_array_equal(presses.background, GEL)
-    with pytest.raises(CalibrationError, match=naming(tmp_path / "presses.csv")):
-        write_labels(tmp_path, found, 1e3 * BALL_M, MM_PER_PX)
-
-
-@pytest.mark.slow
-def test_the_table_limits_circles_to_the_ball_and_adds_the_untouched_gel(never_untouched, tmp_path):
-    for frame in frames(untouched=0):
-        write_image(tmp_path / frame.name, frame.image)
-    write_labels(tmp_path, never_untouched, 1.5, MM_PER_PX)
-    with (tmp_path / "presses.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert rows[0]["image"] == "untouched-gel.png"
-    assert max(float(row["radius_px"]) for row in rows[1:]) == pytest.approx(0.98 * 1.5 / MM_PER_PX)
-    assert len(read_presses(tmp_path, GEOMETRY)) == len(PRESSES)
 
 
 def test_the_sheet_shows_every_press(with_bad_ones):

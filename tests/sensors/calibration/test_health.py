@@ -7,7 +7,7 @@ import logging
 import numpy as np
 import pytest
 from message_helpers import missing, naming
-from press_sets import ball_indentation, sensor
+from press_sets import sensor
 
 from tactile_loc.core.runtime.errors import TouchError, note_source
 from tactile_loc.sensors.reading.reading import Health, find_worst, measure_health, require_healthy
@@ -70,12 +70,3 @@ def test_poor_health_warns_and_worse_health_is_refused(caplog):
     assert not missing(record.message, 2.0, "light")
     with pytest.raises(TouchError, match=naming(3.0, "surface", "`zero`")):
         require_healthy(Health(4.0, 0.6), USUAL)
-
-
-def test_metric_slopes_of_a_ball_fit_a_surface():
-    indentation = ball_indentation(GEOMETRY, press_m=4e-4)
-    sx, sy = GEOMETRY.scale_at_surface
-    down, across = np.gradient(indentation)
-    slopes = np.stack([across * sx, down * sy], axis=-1)
-    assert measure_health(UNTOUCHED, UNTOUCHED, slopes, GEOMETRY).unfit < 0.15
-    assert measure_health(UNTOUCHED, UNTOUCHED, slopes[..., ::-1], GEOMETRY).unfit > 0.5

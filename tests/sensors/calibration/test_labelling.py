@@ -9,7 +9,8 @@ from press_sets import BALL_M, MM, ball_set, write_image
 from tactile_loc.core.runtime.errors import CalibrationError, ConfigError
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.sensors.calibration.labelling import label_presses
-from tactile_loc.sensors.calibration.press_table import SENSOR, TABLE
+from tactile_loc.sensors.calibration.press_table import SENSOR, TABLE, read_rows
+from tactile_loc.sensors.calibration.presses import read_presses
 
 BALLS = ball_set(7, px=80)
 RADIUS_MM, MM_PER_PX = BALL_M / MM, 0.2
@@ -33,6 +34,19 @@ def test_the_ball_is_found_in_each_photo(photos):
     assert 1e3 * read_sensor_file(labelled.sensor).pixel_pitch_m == pytest.approx(MM_PER_PX)
     assert found.title == "7 of 7 presses are used"
     assert len(labelled.describe()) == 2
+    presses = read_presses(photos, BALLS.geometry)
+    assert len(presses) == 7
+    np.testing.assert_array_equal(presses.background, BALLS.background)
+
+
+@pytest.mark.slow
+def test_an_image_of_the_untouched_gel_is_composed_and_circles_are_limited_to_the_ball(photos):
+    (photos / "background.png").unlink()
+    label_presses(photos, None, 1.5, MM_PER_PX)
+    background, *balls = read_rows(photos / TABLE)
+    assert (background.kind, background.image.name) == ("background", "untouched-gel.png")
+    assert max(row.read_number("radius_px") for row in balls) == pytest.approx(0.98 * 1.5 / MM_PER_PX)
+    assert len(read_presses(photos, BALLS.geometry)) == 7
 
 
 @pytest.mark.slow

@@ -28,15 +28,6 @@ def test_a_ball_is_deepest_at_the_circles_centre():
     assert not label.absolute
 
 
-def test_pixel_centres_lie_at_half_integers():
-    label = label_ball(GEOMETRY, (40.0, 40.0), RADIUS_PX, BALL_M)  # where four pixels meet
-    four = label.indentation_m[39:41, 39:41]
-    assert np.ptp(four) == pytest.approx(0, abs=1e-10)
-    np.testing.assert_array_equal(label.indentation_m, label.indentation_m[::-1, ::-1])
-    rho2 = 2 * (0.5 * PITCH_M) ** 2
-    assert four[0, 0] == pytest.approx(np.sqrt(BALL_M**2 - rho2) - np.sqrt(BALL_M**2 - RADIUS_M**2), rel=1e-5)
-
-
 def test_the_indentation_matches_the_ball_inside_and_is_zero_outside():
     press_m = 6e-4
     radius_px = contact_radius(press_m) / PITCH_M
@@ -57,14 +48,6 @@ def test_slope_is_the_derivative_of_the_indentation():
     inner = np.hypot(x, y) < RADIUS_M - 3 * PITCH_M
     np.testing.assert_allclose(label.slope[inner], np.stack([across, down], -1)[inner], atol=3e-3)
     assert not label.slope[~label.contact].any()
-
-
-def test_finer_pixels_show_the_same_ball():
-    coarse = label_ball(sensor(80), (33.0, 47.0), RADIUS_PX, BALL_M)
-    fine = label_ball(sensor(240), (99.0, 141.0), 3 * RADIUS_PX, BALL_M)
-    np.testing.assert_allclose(fine.indentation_m[1::3, 1::3], coarse.indentation_m, atol=1e-9)
-    np.testing.assert_allclose(fine.slope[1::3, 1::3], coarse.slope, atol=1e-6)
-    np.testing.assert_array_equal(fine.known[1::3, 1::3], coarse.known)
 
 
 def test_a_ball_is_round_in_pixels_that_are_not_square():

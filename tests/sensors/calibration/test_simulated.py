@@ -72,15 +72,6 @@ def test_all_shards_exist_and_the_last_may_be_short(store):
     assert presses.name(7) == "simulated press 7"
 
 
-@pytest.mark.slow
-def test_the_seed_determines_the_presses(tmp_path):
-    one, same, other = (
-        simulate_presses(LIT, 8, s, StageStore(tmp_path / n)) for s, n in zip((1, 1, 2), "abc", strict=True)
-    )
-    assert np.array_equal(one.images[0], same.images[0])
-    assert not np.array_equal(one.codes[0], other.codes[0])
-
-
 def test_stored_presses_are_not_rendered_again(store, monkeypatch):
     first = simulate_presses(LIT, 8, 0, store)
     monkeypatch.setattr(module, "press_boards", lambda *a, **k: pytest.fail("rendered again"))

@@ -39,9 +39,9 @@ def presses(count: int = 1) -> np.ndarray:
     return np.full(count, PRESS_M)
 
 
-def lamp(side: str = "right", elevation: float = 30.0, strength: float = 0.9, colour=(1.0, 1.0, 1.0), **more) -> Light:
+def lamp(side: str = "right", elevation: float = 30.0, strength: float = 0.9, colour=(1.0, 1.0, 1.0)) -> Light:
     x, y = SIDES[side]
-    return Light.at(math.atan2(y, x), math.radians(elevation), colour, strength, **more)
+    return Light.at(math.atan2(y, x), math.radians(elevation), colour, strength)
 
 
 def lit(*sides: str, elevation: float = 30.0, **more) -> Optics:

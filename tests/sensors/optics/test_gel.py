@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.noise import GelPixels
-from tactile_loc.sensors.optics.gel import find_indentation, press_gel, relax
+from tactile_loc.sensors.optics.simulate import find_indentation, press_gel, relax
 
 SOFTNESS_M = 8e-4
 

@@ -14,9 +14,9 @@ from scipy.special import ndtr
 
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.optics.gel import press_gel
 from tactile_loc.sensors.optics.lamps import OPTICS, Optics
 from tactile_loc.sensors.optics.shading import measure_slopes, render_background, render_images
+from tactile_loc.sensors.optics.simulate import press_gel
 
 ELEVATION = math.radians(30)
 
@@ -50,18 +50,6 @@ def test_a_tilted_plane_has_lamberts_shade_at_any_pixel_size(geometry):
         lambert = (slope * math.cos(ELEVATION) + math.sin(ELEVATION)) / math.sqrt(1 + 0.3**2 + 0.2**2)
         expected = 255 * 0.9 * lambert
         assert rendered(tilted, geometry, lit(side)) == pytest.approx(expected, abs=0.6), side
-
-
-def test_a_near_lamp_follows_the_inverse_square_law():
-    geometry = sensor()
-    near = Optics((lamp("right", 30.0, 0.5, distance=3.0),))
-    x, y = (a / (0.008 * math.sqrt(2)) for a in places(geometry))  # in field radii
-    height = 3.0 * math.sin(ELEVATION)
-    away = np.sqrt((3.0 * math.cos(ELEVATION) - x) ** 2 + y**2 + height**2)
-    expected = 255 * 0.5 * height / away * (3.0 / away) ** 2
-    assert render_background(geometry, near)[..., 1] == pytest.approx(expected, abs=0.51)
-    middle = render_background(geometry, dataclasses.replace(near, lights=(lamp("right", 30.0, 0.5),)))
-    assert middle == pytest.approx(255 * 0.5 * math.sin(ELEVATION), abs=0.51)  # a far one lights evenly
 
 
 def test_a_domed_gel_has_the_shade_of_a_flat_gel_pressed_to_a_dome():

@@ -13,10 +13,9 @@ from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import deform_gel
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.sensors.optics.boards import make_board
-from tactile_loc.sensors.optics.gel import press_gel
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
-from tactile_loc.sensors.optics.simulate import BATCH, LIGHTEST, press_boards, render_touches
+from tactile_loc.sensors.optics.simulate import BATCH, LIGHTEST, press_boards, press_gel, render_touches
 
 GELSLIM = OPTICS["gelslim"]
 
@@ -31,8 +30,8 @@ def test_the_picture_of_a_touch_is_the_shaded_gel():
     depth = np.concatenate([ball_depth(geometry), tip_depth(geometry)])
     photo = render_background(geometry, OPTICS["digit"])
     for own in (None, photo):
-        picture = render_touches(depth, presses(2), geometry, GELSLIM, rng(5), 5e-4, own)
-        surface = press_gel(depth, presses(2), geometry, 5e-4)
+        picture = render_touches(depth, presses(2), geometry, GELSLIM, rng(5), own)
+        surface = press_gel(depth, presses(2), geometry)
         assert np.array_equal(picture, render_images(surface, geometry, GELSLIM, rng(5), own))
 
 

@@ -17,9 +17,9 @@ from tactile_loc.io.images import write_image
 from tactile_loc.plugins.sensors.presets import CurvedDigit
 from tactile_loc.sensors.calibration.labels import label_ball
 from tactile_loc.sensors.calibration.presses import PressFolder, read_presses
-from tactile_loc.sensors.optics.gel import press_gel
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
+from tactile_loc.sensors.optics.simulate import press_gel
 from tactile_loc.sensors.reading.relief import learn_relief
 
 GEL_M, BALL_M = 35e-3, 4e-3
