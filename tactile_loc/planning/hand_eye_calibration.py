@@ -74,30 +74,19 @@ class FlangeTouches:
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """The object's pose in the sensor's frame, T_sensor_object (N, 4, 4), metres, from each of N touches separately.
-
-    `covariances` (N, 6, 6), as in RefinedPose, include the errors of the touch and of the flange's pose.
-    """
-
-    T_sensor_object: Poses
-    covariances: Floats
-
-
-@dataclass(frozen=True, eq=False)
 class HandEyeCalibration:
     """A mount found from N touches: the `fit` to the touches `kept` (N,), and the `guess` from which it started.
 
-    `measured` has the object's pose from every touch, registered from the pose that the mount predicts. `imprint_ious`
-    (N,), 0 to 1, are the touches' imprint IoUs with the predicted poses. `best_ious` (N,), 0 to 1, are the imprint IoUs
-    of each touch's own best hypothesis.
+    `T_sensor_object` (N, 4, 4), metres, is the object's pose from each touch separately, registered from the pose that
+    the mount predicts. `imprint_ious` (N,), 0 to 1, are the touches' imprint IoUs with the predicted poses. `best_ious`
+    (N,), 0 to 1, are the imprint IoUs of each touch's own best hypothesis.
     """
 
     given: FlangeTouches
     guess: HandEyeStart
     fit: HandEyeFit
     kept: NDArray[np.bool_]
-    measured: Measured
+    T_sensor_object: Poses
     imprint_ious: Floats
     best_ious: Floats
 
@@ -120,7 +109,7 @@ class HandEyeCalibration:
         return self._residuals(self.guess.T_flange_sensor, self.guess.T_base_object)
 
     def _residuals(self, X: Floats, Y: Floats) -> Floats:
-        S = self.measured.T_sensor_object
+        S = self.T_sensor_object
         e = compute_pose_errors(predict(self.given.T_base_flange, X, Y), S)
         shift = e[:, :3] + np.cross(e[:, 3:], self.given.gel_m - S[:, :3, 3])
         return np.stack([np.linalg.norm(shift, axis=1), np.linalg.norm(e[:, 3:], axis=1)], axis=1)
@@ -230,10 +219,10 @@ def _refine(localizer: Localizer, given: FlangeTouches, guess: HandEyeStart, bes
             break
         kept = trusted
         X, Y = registration.converge(X, Y, kept, finely=True)
-    measured = registration.measure(X, Y)
-    fit = fit_hand_eye(given.T_base_flange[kept], measured.T_sensor_object[kept], measured.covariances[kept], X, Y)
+    S, covariances = registration.measure(X, Y)
+    fit = fit_hand_eye(given.T_base_flange[kept], S[kept], covariances[kept], X, Y)
     kept = kept & registration.find_trusted(X, Y, best_ious)
-    return HandEyeCalibration(given, guess, fit, kept, measured, registration.compute_imprint_ious(X, Y), best_ious)
+    return HandEyeCalibration(given, guess, fit, kept, S, registration.compute_imprint_ious(X, Y), best_ious)
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,31 +248,32 @@ class _Registration:
         scales_mm = self.registration.list_scales_mm(ROUNDS)
         F = self.given.T_base_flange[some]
         for scale_mm in scales_mm[ROUNDS // 2 :] if finely else scales_mm:
-            measured, before = self.measure(X, Y, float(scale_mm)), self.predict(X, Y)
-            fit = fit_hand_eye(F, measured.T_sensor_object[some], measured.covariances[some], X, Y, robust=True)
+            (S, covariances), before = self.measure(X, Y, float(scale_mm)), self.predict(X, Y)
+            fit = fit_hand_eye(F, S[some], covariances[some], X, Y, robust=True)
             X, Y = fit.T_flange_sensor, fit.T_base_object
             if self.metric.distance(before, self.predict(X, Y)).max() < STILL_M:
                 break
         return X, Y
 
-    def measure(self, X: Floats, Y: Floats, scale_mm: float | None = None) -> Measured:
-        """Register the touches from the object poses that X and Y predict, by default at the finest scale."""
+    def measure(self, X: Floats, Y: Floats, scale_mm: float | None = None) -> tuple[Poses, Floats]:
+        """Register each touch from the object pose that X and Y predict, by default at the finest scale.
+
+        Return the object's poses T_sensor_object (N, 4, 4), metres, and their covariances (N, 6, 6), as in RefinedPose.
+        The covariances include the errors of the touch and of the flange's pose.
+        """
         scale_mm = float(self.registration.list_scales_mm(ROUNDS)[-1]) if scale_mm is None else scale_mm
         pairs = zip(self.views, self.predict(X, Y), strict=True)
         stepped = [self.registration.step([view], T[None], scale_mm) for view, T in pairs]
         S = np.concatenate([poses for poses, _ in stepped])
         own = np.stack([NOTHING if covariance is None else covariance for _, (covariance,) in stepped])
         std = np.array([[t.T_base_sensor_std_m] * 3 + [t.T_base_sensor_std_rad] * 3 for t in self.given.touches])
-        return Measured(S, own + move_covariance(std[:, None] ** 2 * np.eye(6), S[:, :3, 3] - self.given.gel_m))
+        return S, own + move_covariance(std[:, None] ** 2 * np.eye(6), S[:, :3, 3] - self.given.gel_m)
 
     def find_trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> NDArray[np.bool_]:
         """Mark the touches (N,) that agree with X and Y, both in the object's pose and in its imprint."""
-        measured = self.measure(X, Y)
-        F = self.given.T_base_flange
-        chi2 = fit_hand_eye(F, measured.T_sensor_object, measured.covariances, X, Y, robust=True).chi2
-        return (chi2 < TRUSTED * estimate_typical_variance(chi2)) & (
-            self.compute_imprint_ious(X, Y) > best_ious - SHORT
-        )
+        chi2 = fit_hand_eye(self.given.T_base_flange, *self.measure(X, Y), X, Y, robust=True).chi2
+        agrees = self.compute_imprint_ious(X, Y) > best_ious - SHORT
+        return agrees & (chi2 < TRUSTED * estimate_typical_variance(chi2))
 
     def predict(self, X: Floats, Y: Floats) -> Poses:
         return predict(self.given.T_base_flange, X, Y)

@@ -14,6 +14,7 @@ is an image minus the image of the untouched gel: (H, W, 3) float32, counts of 2
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -198,7 +199,9 @@ def find_rim(change: Float32, near: Circle) -> Circle:
     directions = np.stack([np.cos(angle), np.sin(angle), np.ones(RAYS)], axis=1)
     circle = near
     for _ in range(ROUNDS):
-        move = _fit_move(directions, *_find_steepest(relief, circle, directions))
+        off, weight = _find_steepest(relief, circle, directions)
+        factors, _ = fit_robustly(directions, off[:, None], weight, lambda m: TUKEY * max(0.3, 1.48 * m), 10)
+        move = factors[:, 0]  # along x and y, and of the radius, pixels
         most = 0.15 * circle.radius_px
         dx, dy, dr = np.clip(move, -most, most).tolist()
         circle = Circle(circle.x_px + dx, circle.y_px + dy, circle.radius_px + dr)
@@ -237,18 +240,23 @@ def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[
     return circle.radius_px * (u[place] - 1), weight
 
 
-def _fit_move(directions: Array, off: Array, weight: Array) -> Array:
-    """Fit a circle to points at offsets `off` (RAYS,) from the present circle, pixels.
+def fit_robustly(
+    terms: NDArray[np.floating],
+    values: NDArray[np.floating],
+    first: NDArray[np.floating],
+    scale: Callable[[float], float],
+    rounds: int,
+) -> tuple[Array, Array]:
+    """Fit factors (K, C) of the terms (P, K) to the values (P, C). Return the factors and the robust weights (P,).
 
-    Return the shift along x and y and the growth of the radius (3,), pixels. The fit is by least squares. Tukey's
-    weights exclude rays on which something other than the rim is steepest.
+    A robust weight is the weight in `first` (P,) times Tukey's function of the residual. `scale` maps the median
+    residual to the least residual with weight 0.
     """
-    robust = weight
-    move: Array = np.zeros(3)
-    for _ in range(10):
-        weighted = directions * robust[:, None]
-        move = np.asarray(np.linalg.solve(weighted.T @ directions + 1e-9 * np.eye(3), weighted.T @ off), np.float64)
-        missed = off - directions @ move
-        scale = max(0.3, 1.48 * float(np.median(np.abs(missed[weight > 0])))) if (weight > 0).any() else np.inf
-        robust = weight * np.clip(1 - (missed / (TUKEY * scale)) ** 2, 0, None) ** 2
-    return move
+    weight = first
+    for _ in range(rounds):
+        root = np.sqrt(weight)[:, None]
+        factors = np.linalg.lstsq(terms * root, values * root, rcond=None)[0]
+        missed = np.linalg.norm(values - terms @ factors, axis=1)
+        typical = float(np.median(missed[first > 0])) if (first > 0).any() else np.inf
+        weight = first * np.clip(1 - (missed / scale(typical)) ** 2, 0, None) ** 2
+    return factors, np.asarray(weight, np.float64)

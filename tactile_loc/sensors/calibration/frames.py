@@ -7,7 +7,7 @@ so that a table can name them.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,13 +48,23 @@ def read_frames(source: Path) -> tuple[Path, list[PressImage]]:
     """
     if not os.path.exists(source):
         raise CalibrationError(f"there is no {source}; give a folder with images of presses, or a video")
-    if os.path.isfile(source):
-        folder = take_frames(source)
-        return folder, _require_one_size(_read_pictures(folder, folder), folder)
-    frames = list(_read_pictures(source, source))
-    for video in _list_files(source, VIDEO_SUFFIXES):
-        frames += _read_pictures(take_frames(video), source)
-    return source, _require_one_size(frames, source)
+    folder = take_frames(source) if os.path.isfile(source) else source
+    parts = [folder, *(take_frames(video) for video in _list_files(folder, VIDEO_SUFFIXES))]
+    frames = []
+    for path in (path for part in parts for path in _list_files(part, IMAGE_SUFFIXES)):
+        try:
+            frames.append(PressImage(path.relative_to(folder).as_posix(), read_photo(path)))
+        except TouchError as error:
+            raise CalibrationError(str(error)) from error
+    if not frames:
+        raise CalibrationError(f"there is no image in {folder}; give photos of presses, PNG or JPEG, or a video")
+    for frame in frames:
+        if frame.image.shape != frames[0].image.shape:
+            one, other = (f"{f.name} ({f.image.shape[1]} x {f.image.shape[0]} px)" for f in (frames[0], frame))
+            raise CalibrationError(
+                f"{folder} holds images of different sizes, {one} and {other}; give images of one camera"
+            )
+    return folder, frames
 
 
 def list_pictures(folder: Path) -> set[str]:
@@ -67,29 +77,6 @@ def _list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     for path in found:
         if not is_unicode(path.name):
             raise CalibrationError(f"the name of {path} is not Unicode, so no table can list it; rename the file")
-    return found
-
-
-def _read_pictures(folder: Path, root: Path) -> Iterator[PressImage]:
-    for path in _list_files(folder, IMAGE_SUFFIXES):
-        try:
-            image = read_photo(path)
-        except TouchError as error:
-            raise CalibrationError(str(error)) from error
-        yield PressImage(path.relative_to(root).as_posix(), image)
-
-
-def _require_one_size(frames: Iterable[PressImage], folder: Path) -> list[PressImage]:
-    found = list(frames)
-    if not found:
-        raise CalibrationError(f"there is no image in {folder}; give photos of presses, PNG or JPEG, or a video")
-    first = found[0]
-    for frame in found:
-        if frame.image.shape != first.image.shape:
-            one, other = (f"{f.name} ({f.image.shape[1]} x {f.image.shape[0]} px)" for f in (first, frame))
-            raise CalibrationError(
-                f"{folder} holds images of different sizes, {one} and {other}; give images of one camera"
-            )
     return found
 
 

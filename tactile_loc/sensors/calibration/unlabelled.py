@@ -8,7 +8,7 @@ Marker dots on the gel are found in the median of the images, and filled in befo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ from tactile_loc.sensors.calibration.circles import (
     compare_colours,
     find_imprint,
     find_rim,
+    fit_robustly,
     measure_concentration,
 )
 from tactile_loc.sensors.calibration.frames import PressImage
@@ -223,7 +224,7 @@ def _fit_smooth(image: Float32, weight: Float32, order: int) -> Float32:
     terms = np.stack([np.outer(y**j, x**i) for i, j in powers], axis=-1)
     some = np.s_[:: max(1, height // 80), :: max(1, width // 80)]
     base, wanted = terms[some].reshape(-1, len(powers)), image[some].reshape(-1, 3)
-    factors, _ = _fit_robustly(base, wanted, weight[some].ravel(), lambda typical: 3 * (2 * typical + 1), 12)
+    factors, _ = fit_robustly(base, wanted, weight[some].ravel(), lambda typical: 3 * (2 * typical + 1), 12)
     return np.asarray(terms @ factors, np.float32)
 
 
@@ -276,7 +277,7 @@ def _measure_shift(change: Float32, reference: Float32, touched: Mask) -> float:
     gradients = np.stack([np.gradient(gel, axis=axis)[free].ravel() for axis in (1, 0)], axis=1)
     values = seen[free].ravel()
     evenly = np.ones(len(values))
-    factors, weight = _fit_robustly(gradients, values[:, None], evenly, lambda typical: 4 * 1.48 * typical + 1e-6, 8)
+    factors, weight = fit_robustly(gradients, values[:, None], evenly, lambda typical: 4 * 1.48 * typical + 1e-6, 8)
     shift = factors[:, 0]
     made = gradients @ shift
     share = 1 - float((weight * (values - made) ** 2).sum()) / max(float((weight * values**2).sum()), 1e-9)
@@ -298,27 +299,6 @@ def _measure_large_shift(seen: Float32, gel: Float32, free: Mask) -> float:
     gained = float(alike[place] - alike[:2, :2].max())  # a shift of up to one pixel counts as none
     away = [min(p, n - p) for p, n in zip(place, free.shape, strict=True)]
     return float(np.hypot(*away)) if gained > ALIKE else 0.0
-
-
-def _fit_robustly(
-    terms: NDArray[np.floating],
-    values: NDArray[np.floating],
-    first: NDArray[np.floating],
-    scale: Callable[[float], float],
-    rounds: int,
-) -> tuple[Array, Array]:
-    """Fit factors (K, C) of the terms (P, K) to the values (P, C). Return the factors and the robust weights (P,).
-
-    A robust weight is the weight in `first` (P,) times Tukey's function of the residual. `scale` maps the median
-    residual to the least residual with weight 0.
-    """
-    weight = first
-    for _ in range(rounds):
-        root = np.sqrt(weight)[:, None]
-        factors = np.linalg.lstsq(terms * root, values * root, rcond=None)[0]
-        missed = np.linalg.norm(values - terms @ factors, axis=1)
-        weight = first * np.clip(1 - (missed / scale(float(np.median(missed)))) ** 2, 0, None) ** 2
-    return factors, np.asarray(weight, np.float64)
 
 
 def _extract_details(image: Float32) -> Float32:

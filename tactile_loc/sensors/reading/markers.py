@@ -158,7 +158,7 @@ def find_dots(image: Image) -> Dots | None:
         return None
     depth, sigma, centres = best
     places, depths = _find_blobs(shade, sigma)
-    centres = _complete_lattice(centres, places[depths > FAINT * depth], shade.shape)
+    centres = _complete_lattice(centres, places[depths > FAINT * depth])
     spacing = float(np.median(_find_neighbours(centres)[0]))
     radius = _measure_radius(shade, centres, spacing)
     return Dots((height, width), _add_border(centres, radius, spacing, shade.shape), radius, spacing, depth, sigma)
@@ -204,7 +204,7 @@ def _is_lattice(places: Array, shape: tuple[int, ...]) -> bool:
     return bool((KDTree(places).query(opposite)[0] < ASIDE * spacing).mean() > REGULAR)
 
 
-def _complete_lattice(centres: Array, faint: Array, shape: tuple[int, ...]) -> Array:
+def _complete_lattice(centres: Array, faint: Array) -> Array:
     """Return the centres (N, 2), and those of the faint blobs (M, 2) that continue the lattice."""
     spacing = float(np.median(_find_neighbours(centres)[0]))
     while len(faint := faint[KDTree(centres).query(faint)[0] > OVERLAP * spacing]):

@@ -242,7 +242,7 @@ def test_a_background_or_a_sensor_file_of_another_sensor_is_refused(folder):
 
 def test_an_unfit_image_of_the_untouched_gel_is_named(folder, tmp_path):
     strange, cut = 255 - BALLS.background, BALLS.background[:50]
-    for image, words in ((strange, ["calibrate again"]), (cut, ["64 x 50", "64 x 64"]), (None, ["No such file"])):
+    for image, words in ((strange, ["calibrate again"]), (cut, ["64 x 50", "64 x 64"]), (None, ["there is no file"])):
         zero = tmp_path / "none.png" if image is None else write_image(tmp_path / "photo.png", image)
         with pytest.raises(TouchError, match=naming(zero, "`zero`", *words)):
             read_calibration(folder, zero)

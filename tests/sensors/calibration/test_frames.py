@@ -50,14 +50,13 @@ BAD = {  # images by the reason for dropping them
     "two balls": pressed((-4e-3, -2e-3), (4e-3, 2e-3)),
     "cut off at the border": pressed((7.4e-3, 0.0)),
     "over-exposed": np.clip(GEL + 8 * (PRESSES[1].astype(int) - GEL), 0, 255).astype(np.uint8),
-    "no ball found": hand_on_gel(),
 }
 
 
 @pytest.fixture(scope="module")
 def with_bad_ones() -> FoundPresses:
     """The presses found among presses, the untouched gel and bad images."""
-    return find_presses(frames(*BAD.values()), 1e3 * BALL_M / MM_PER_PX)
+    return find_presses(frames(*BAD.values(), hand_on_gel()), 1e3 * BALL_M / MM_PER_PX)
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +85,9 @@ def test_the_untouched_gel_is_assembled_from_presses(never_untouched):
 
 
 def test_bad_images_are_dropped_with_the_reason(with_bad_ones):
-    assert [press.dropped for press in with_bad_ones.presses[-len(BAD) :]] == list(BAD)
+    *reasons, of_hand = (press.dropped for press in with_bad_ones.presses[len(PRESSES) :])
+    assert reasons == list(BAD)
+    assert of_hand
     assert len(with_bad_ones.used) == len(PRESSES)
 
 

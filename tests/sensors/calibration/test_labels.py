@@ -19,15 +19,6 @@ RADIUS_PX = 9.0
 RADIUS_M = RADIUS_PX * PITCH_M
 
 
-def test_a_ball_is_deepest_at_the_circles_centre():
-    label = label_ball(GEOMETRY, (30.5, 50.5), RADIUS_PX, BALL_M)  # the centre of pixel [50, 30]
-    deepest = BALL_M - np.sqrt(BALL_M**2 - RADIUS_M**2)
-    assert np.unravel_index(label.indentation_m.argmax(), GEOMETRY.shape) == (50, 30)
-    assert label.indentation_m[50, 30] == pytest.approx(deepest, rel=1e-5)
-    assert label.slope[50, 30] == pytest.approx([0, 0], abs=1e-7)
-    assert not label.absolute
-
-
 def test_the_indentation_matches_the_ball_inside_and_is_zero_outside():
     press_m = 6e-4
     radius_px = contact_radius(press_m) / PITCH_M

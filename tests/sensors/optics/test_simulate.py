@@ -1,4 +1,4 @@
-"""Simulated images and training pairs."""
+"""Simulated images and training pairs, and the gel's surface: smooth around the contact, at any resolution."""
 
 from __future__ import annotations
 
@@ -6,16 +6,29 @@ import dataclasses
 
 import numpy as np
 import pytest
-from imaging_helpers import ball_depth, presses, rng, sensor, tip_depth
+from imaging_helpers import BALL_M, PRESS_M, ball_depth, presses, rng, sensor, tip_depth
+from message_helpers import naming
+from press_sets import places
+from scipy.ndimage import gaussian_filter
 
-from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import deform_gel
+from tactile_loc.core.sensing.noise import GelPixels
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.sensors.optics.boards import make_board
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
-from tactile_loc.sensors.optics.simulate import BATCH, LIGHTEST, press_boards, press_gel, render_touches
+from tactile_loc.sensors.optics.simulate import (
+    BATCH,
+    LIGHTEST,
+    SOFTNESS_M,
+    find_indentation,
+    press_boards,
+    press_gel,
+    relax,
+    render_touches,
+)
 
 GELSLIM = OPTICS["gelslim"]
 
@@ -121,3 +134,85 @@ class Nothing(HeightmapRenderer):
 def test_boards_without_any_imprint_are_refused():
     with pytest.raises(TouchError, match="calibration-board-1"):
         next(press_boards(sensor(16), 2, GELSLIM, rng(), Nothing()))
+
+
+def test_the_gel_follows_the_surface_of_a_ball():
+    geometry = sensor(160)
+    surface = press_gel(ball_depth(geometry), presses(), geometry, SOFTNESS_M)
+    x, y = places(geometry)
+    near = np.hypot(x, y) < 0.4 * BALL_M
+    true = np.sqrt(BALL_M**2 - x**2 - y**2, where=near, out=np.zeros_like(x)) - BALL_M + PRESS_M
+    assert surface[0][near] == pytest.approx(true[near], abs=2e-6)  # the last blur lowers the surface slightly
+    unsoftened = press_gel(ball_depth(geometry), presses(), geometry, 0.0)
+    assert np.array_equal(unsoftened, find_indentation(ball_depth(geometry), presses()))
+
+
+@pytest.mark.parametrize("softness_m", [2e-4, 8e-4, 2e-3])
+def test_relaxing_never_lifts_the_contact(softness_m):
+    geometry = sensor()
+    bumps = gaussian_filter(1e-3 * np.random.default_rng(0).normal(size=(3, 80, 80)), (0, 2, 2))
+    contact = np.maximum(bumps, 0).astype(np.float32)
+    surface = relax(contact, GelPixels.of(geometry), softness_m)
+    assert (surface >= contact).all()
+    assert surface.max() <= contact.max() * (1 + 1e-5)
+    tip = find_indentation(tip_depth(geometry), presses())
+    touching = tip > 0
+    assert relax(tip, GelPixels.of(geometry), softness_m)[touching] == pytest.approx(tip[touching], rel=1e-5)
+
+
+def test_the_gel_has_no_step_around_a_tip():
+    geometry = sensor(320)
+    surface = press_gel(tip_depth(geometry), presses(), geometry, SOFTNESS_M)[0, 160, 240:]  # from the edge outwards
+    fall = -np.diff(surface)
+    assert (fall > 0).all()
+    assert fall.max() < 0.12 * PRESS_M  # over a pixel of 0.05 mm
+    assert surface[[0, 20, 60]] == pytest.approx(np.array([0.87, 0.34, 0.06]) * PRESS_M, abs=0.05 * PRESS_M)
+
+
+def test_the_gel_bridges_a_narrow_groove_but_not_a_wide_one():
+    geometry = sensor(160)
+    x, _ = places(geometry)
+    middles = []
+    for half_m in (2e-4, 4e-3):
+        depth = np.where(np.abs(x) < half_m, PRESS_M, 0.0).astype(np.float32)[None]
+        middles.append(press_gel(depth, presses(), geometry, SOFTNESS_M)[0, 80, 80])
+    assert middles[0] > 0.7 * PRESS_M
+    assert middles[1] < 0.1 * PRESS_M
+
+
+def test_the_surface_does_not_depend_on_the_pixel_size():
+    coarse, fine = (press_gel(ball_depth(g), presses(), g, SOFTNESS_M)[0] for g in (sensor(80), sensor(240)))
+    assert coarse == pytest.approx(fine.reshape(80, 3, 80, 3).mean((1, 3)), abs=0.01 * PRESS_M)
+
+
+def test_images_of_a_batch_are_independent_and_no_contact_leaves_no_imprint():
+    geometry = sensor()
+    depth = np.concatenate([tip_depth(geometry), np.full((1, 80, 80), 5e-4, np.float32), ball_depth(geometry)])
+    press = np.array([PRESS_M, 5e-4, PRESS_M])
+    surface = press_gel(depth, press, geometry, SOFTNESS_M)
+    assert not surface[1].any()
+    alone = press_gel(depth[2:], press[2:], geometry, SOFTNESS_M)
+    assert surface[2] == pytest.approx(alone[0], abs=1e-9)
+    assert press_gel(depth[:0], press[:0], geometry).shape == (0, 80, 80)
+
+
+def test_the_gel_covers_only_the_sensing_rectangle():
+    geometry = sensor(rectangle_m=(-0.006, 0.004, -0.005, 0.008))
+    surface = press_gel(np.zeros((1, 80, 80), np.float32), presses(), geometry)
+    assert np.array_equal(surface[0] > 0, geometry.observed_mask)
+    assert surface[0][geometry.observed_mask] == pytest.approx(PRESS_M, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("depth", "press", "softness_m", "values"),
+    [
+        (np.zeros((80, 80)), [1e-3], 1e-3, ("(80, 80)", "(1,)")),
+        (np.zeros((2, 80, 80)), [1e-3], 1e-3, ("(2, 80, 80)", "(1,)")),
+        (np.zeros((1, 40, 80)), [1e-3], 1e-3, ("(40, 80)", "(80, 80)")),
+        (np.zeros((1, 80, 80)), [1e-3], -1e-3, ("softness_m", "-0.001")),
+        (np.zeros((1, 80, 80)), [1e-3], np.nan, ("softness_m", "nan")),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(depth, press, softness_m, values):
+    with pytest.raises(ConfigError, match=naming(*values)):
+        press_gel(depth, press, sensor(), softness_m)

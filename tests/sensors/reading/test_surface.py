@@ -51,13 +51,6 @@ def bent(geometry: SensorGeometry, strength: float = 0.02) -> np.ndarray:
     return strength * np.stack([0.5 + x - 0.5 * x * y, -0.4 + 0.6 * y + 0.3 * x**2], axis=-1)
 
 
-def test_integration_recovers_a_plane_exactly():
-    x, y = places(FINE)
-    slope = np.broadcast_to([0.03, -0.05], (96, 96, 2))
-    plane = 0.03 * x - 0.05 * y
-    np.testing.assert_allclose(integrate(slope, FINE), plane - plane.mean(), atol=1e-12)
-
-
 def test_the_integration_error_is_second_order_in_the_pixel_size():
     errors = [worst_m(sensor(px)) for px in (48, 96, 192)]
     assert errors[0] < 25 * UM
