@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior, PosePrior, RegionPrior
-from tactile_loc.core.runtime.errors import ConfigError, did_you_mean
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.toml import (
     MATRIX,
     POSITIVE_MM,
@@ -122,13 +122,7 @@ def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:
     the file is missing, or a key is missing, unknown or ill-typed.
     """
     path, values = Path(path), read_toml(path)
-    kind = values.get("kind")
-    if kind is None:
-        raise ConfigError(f"{path}: kind is missing; give {KIND}")
-    if not isinstance(kind, str) or kind not in _KINDS:
-        near = did_you_mean(kind, _KINDS) if isinstance(kind, str) else ""
-        raise ConfigError(f"{path}: kind = {kind!r} is not a kind of prior.{near} Known: {', '.join(_KINDS)}")
-    model = _KINDS[kind]
-    with name_errors(path, model, values, f"a prior of kind {kind!r}"):
+    model = _KINDS.get(str(values.get("kind")), _Gaussian)
+    with name_errors(path, model, values, f"a prior of kind {values.get('kind')!r}", decisive="kind"):
         keys = model(**values)
         return FramedPrior(keys.make(obj), keys.frame, str(path))
