@@ -69,7 +69,6 @@ def _read_picture(path: Path) -> tuple[str | None, NDArray[np.uint8] | None]:
     """
     if path.suffix.lower() not in (*IMAGE_SUFFIXES, ".npy"):
         return None, None
-    require_file(path)
     with guard_reading(path):
         if path.suffix.lower() == ".npy":
             held = measure_npy(path)
@@ -121,7 +120,6 @@ def read_brightness(path: Path) -> NDArray[Any]:
 
     Raises TouchError when the file is missing or damaged, or has transparent pixels.
     """
-    require_file(path)
     with guard_reading(path):
         mode, values = load_image(path)
     colours = find_colours(mode, values, str(path))
@@ -197,17 +195,13 @@ def encode_png(values: NDArray[np.uint8]) -> bytes:
     return file.getvalue()
 
 
-def require_file(path: Path) -> None:
-    """Raise TouchError unless `path` is a file."""
+@contextmanager
+def guard_reading(path: Path) -> Iterator[None]:
+    """Raise TouchError if there is no file, and convert errors of the block, which reads a damaged file, to it."""
     if os.path.isdir(path):
         raise TouchError(f"{path} is a folder; give one file, {FORMATS}")
     if not os.path.isfile(path):
         raise TouchError(f"there is no file {path}; check the path")
-
-
-@contextmanager
-def guard_reading(path: Path) -> Iterator[None]:
-    """Convert the errors of the block, which reads a damaged file, to a TouchError that names the file."""
     try:
         yield
     except TooLargeError as error:

@@ -45,7 +45,6 @@ from tactile_loc.io.images import (
     load_image,
     read_brightness,
     read_colour_image,
-    require_file,
 )
 from tactile_loc.io.toml import MATRIX, Matrix, name_errors, to_array
 from tactile_loc.store.arrays import load_npy, load_npz, measure_npy, measure_npz
@@ -94,11 +93,10 @@ def read_contents(path: Path, geometry: SensorGeometry | None = None) -> FileCon
     """
     readers = {".npz": _read_npz, ".npy": _read_npy, ".png": _read_png}
     suffix = path.suffix.lower()
-    require_file(path)
-    if suffix not in readers:
-        read_colour_image(path)  # names the kind of another picture
-        raise TouchError(f"{path} is {PHOTO if suffix in IMAGE_SUFFIXES else 'not a touch file'}; give {FORMATS}")
     with guard_reading(path):
+        if suffix not in readers:
+            read_colour_image(path)  # names the kind of another picture
+            raise TouchError(f"{path} is {PHOTO if suffix in IMAGE_SUFFIXES else 'not a touch file'}; give {FORMATS}")
         return readers[suffix](path, geometry)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -69,23 +68,18 @@ class Artifact:
         With `mmap`, an .npy file is mapped read-only from the disk. Otherwise, and for packed arrays, the array is read
         into memory. Pickled objects are never loaded. Raises StoreError when the array is missing or cannot be read.
         """
-        packed = f"{name}.npz" in self.files
-        path = self.find_file(f"{name}.npz" if packed else f"{name}.npy")
-        with self._guard_reading(path):
-            array: NDArray[Any]
-            array = read_packed(path) if packed else np.load(path, "r" if mmap else None, allow_pickle=False)
-        return array
+        if f"{name}.npz" in self.files:
+            return self._read(f"{name}.npz", read_packed)
+        return self._read(f"{name}.npy", lambda path: np.load(path, "r" if mmap else None, allow_pickle=False))
 
     def load_json(self, name: str) -> Any:
         """Return the value stored as `<name>.json`. Raises StoreError when the file is missing or cannot be read."""
-        path = self.find_file(f"{name}.json")
-        with self._guard_reading(path):
-            return read_json(path)
+        return self._read(f"{name}.json", read_json)
 
-    @contextmanager
-    def _guard_reading(self, path: Path) -> Iterator[None]:
+    def _read(self, name: str, read: Callable[[Path], Any]) -> Any:
+        path = self.find_file(name)
         try:
-            yield
+            return read(path)
         except (OSError, ValueError, EOFError) as error:
             raise StoreError(f"{path} cannot be read ({error}); remove {self.path} and run again") from error
 
