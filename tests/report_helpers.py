@@ -26,7 +26,7 @@ from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import MEASURED, Sweep
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.reports import find_source
+from tactile_loc.reports import find_result
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.report import make_page
 
@@ -169,7 +169,7 @@ def write_sweep(folder: Path, rows: list[dict[str, Any]] | None = None) -> Path:
 
 
 def page_in(folder: Path) -> Page:
-    return make_page(find_source(folder))
+    return make_page(find_result(folder))
 
 
 def html_of(folder: Path) -> str:

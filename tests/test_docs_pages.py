@@ -117,9 +117,8 @@ def test_the_limits_and_the_functions_of_reports_exist():
     text = REPORTS.replace("\n", " ")
     assert f"{MOST_POSES:,} poses".replace(",", " ") in text
     assert f"{MOST_FACES:,} triangles".replace(",", " ") in text
-    assert "write_report(find_source(" in text
+    assert "`write_report(Path(" in text
     assert callable(reports.write_report)
-    assert callable(reports.find_source)
 
 
 # tuning.md

@@ -30,7 +30,7 @@ from tactile_loc.io.touches import read_touch
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.planning.next_touch import choose_next_touch
 from tactile_loc.planning.next_touch_files import write_next_touch
-from tactile_loc.reports import find_source, write_report
+from tactile_loc.reports import write_report
 from tactile_loc.sensors.calibration.frames import read_frames
 from tactile_loc.sensors.calibration.presses import read_presses
 from tactile_loc.sensors.calibration.public_sets import convert_presses
@@ -160,7 +160,7 @@ def _approaches(folder: Path, T_base_sensor: np.ndarray | None):
 
 
 def _reported(folder: Path) -> None:
-    write_report(find_source(folder), folder / "page.html")
+    write_report(folder, folder / "page.html")
 
 
 def _next_touch(folder: Path) -> None:

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from tactile_loc.reports.report import Source, find_source, write_report
+from tactile_loc.reports.report import find_result, write_report
 
-__all__ = ["Source", "find_source", "write_report"]
+__all__ = ["find_result", "write_report"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 from tactile_loc.core.runtime.errors import OutputError, ResultError
@@ -17,21 +16,8 @@ SUFFIXES = (".json", ".npz", ".csv", ".md", ".png")
 DEFAULT_NAME = "report.html"
 
 
-@dataclass(frozen=True)
-class Source:
-    """A result on disk: its kind (a value of `KINDS`), and the path of its JSON file."""
-
-    kind: str
-    path: Path
-
-    @property
-    def folder(self) -> Path:
-        """The folder of the result."""
-        return self.path.parent
-
-
-def find_source(path: Path) -> Source:
-    """Return the result in a folder, or the result that a file belongs to.
+def find_result(path: Path) -> Path:
+    """Return the JSON file of the result in a folder, or of the result that a file belongs to.
 
     Raises ResultError if there is no result, or more than one.
     """
@@ -41,18 +27,17 @@ def find_source(path: Path) -> Source:
         raise ResultError(f"{path} is the result of a benchmark; write its page with {command}")
     if os.path.isdir(path):
         return _find_in_folder(path)
-    kind = KINDS.get(path.stem) if path.suffix in SUFFIXES else None
-    if kind is None:
+    if path.stem not in KINDS or path.suffix not in SUFFIXES:
         fault = f"{path} is not a result" if os.path.exists(path) else f"there is no file or folder {path}"
         raise ResultError(f"{fault}; give the folder that run, evaluate or sweep wrote, or its {_list_names()}")
     document = path.with_suffix(".json")
     if not os.path.isfile(document):
         raise ResultError(f"there is no file {document}; give the folder that run, evaluate or sweep wrote")
-    return Source(kind, document)
+    return document
 
 
-def make_page(source: Source) -> Page:
-    """Return the page of a result. Raises ResultError if the result's files cannot be used."""
+def make_page(document: Path) -> Page:
+    """Return the page of the result in a JSON file. Raises ResultError if the result's files cannot be used."""
     from tactile_loc.reports import evaluation, run, sweep
 
     makers = {
@@ -62,21 +47,21 @@ def make_page(source: Source) -> Page:
         "recall": evaluation.make_recall_page,
         "sweep": sweep.make_sweep_page,
     }
-    with name_damage(source.path):
-        page = makers[source.kind](source.path)
+    with name_damage(document):
+        page = makers[KINDS[document.stem]](document)
         json.dumps(page.data, **JSON_OPTIONS)  # raises for a number that is not finite
     return page
 
 
-def write_report(result: Source | str | Path, out: Path | None = None) -> Path:
-    """Write the report of a result, or of its file or folder, to `out`, by default beside it, and return the path.
+def write_report(result: str | Path, out: Path | None = None) -> Path:
+    """Write the report of the result in a file or folder to `out`, by default beside it, and return the path.
 
     Raises ResultError if the result cannot be read, and OutputError if the report cannot be written.
     """
-    source = result if isinstance(result, Source) else find_source(Path(result))
-    path = choose_path(source.folder, out)
-    with name_damage(source.path):
-        return write_page(make_page(source), path)
+    document = find_result(Path(result))
+    path = choose_path(document.parent, out)
+    with name_damage(document):
+        return write_page(make_page(document), path)
 
 
 def choose_path(folder: Path, out: Path | None) -> Path:
@@ -96,15 +81,14 @@ def write_page(page: Page, path: Path) -> Path:
     return write_atomically(path, lambda temporary: temporary.write_bytes(html))
 
 
-def _find_in_folder(folder: Path) -> Source:
-    found = [Source(kind, folder / f"{name}.json") for name, kind in KINDS.items()]
-    found = [source for source in found if source.path.is_file()]
+def _find_in_folder(folder: Path) -> Path:
+    found = [path for name in KINDS if (path := folder / f"{name}.json").is_file()]
     if not found:
         of_touches = (folder / "results.csv").is_file()
         advice = "the folder of one of its touches" if of_touches else "the folder that run, evaluate or sweep wrote"
         raise ResultError(f"{folder} contains no result ({_list_names()}); give {advice}")
     if len(found) > 1:
-        names = " and ".join(source.path.name for source in found)
+        names = " and ".join(path.name for path in found)
         raise ResultError(f"{folder} contains several results, {names}; give one of these files")
     return found[0]
 

@@ -23,7 +23,7 @@ from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.io.toml import read_toml
 from tactile_loc.io.touches import read_contents
-from tactile_loc.reports import find_source
+from tactile_loc.reports import find_result
 from tactile_loc.sensors.calibration.folder import read_calibration
 from tactile_loc.sensors.calibration.frames import read_frames
 from tactile_loc.slots.registry import registry
@@ -35,7 +35,7 @@ READERS = {
     "touch": (lambda name: read_contents(Path(name)), TouchError),
     "calibration": (lambda name: read_calibration(Path(name)), CalibrationError),
     "recording": (Recording, RecordingError),
-    "result": (lambda name: find_source(Path(name)), ResultError),
+    "result": (lambda name: find_result(Path(name)), ResultError),
     "frames": (lambda name: read_frames(Path(name)), CalibrationError),
     "sensor": (
         lambda name: registry().create("sensor", find_sensor_kind(name) or name, {"path": name}),

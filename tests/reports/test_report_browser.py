@@ -23,7 +23,7 @@ from tactile_loc.io.streams.frame_sources import SourceFrame
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.reports import find_source, write_report
+from tactile_loc.reports import write_report
 from tactile_loc.reports.live_server import LiveServer
 from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape
 from tactile_loc.reports.page import render
@@ -47,7 +47,7 @@ def show(browser: Any, tmp_path: Path) -> Iterator[Callable[[Path], Any]]:
         browser.get_log(kind)
 
     def open_report(folder: Path) -> Any:
-        browser.get(write_report(find_source(folder), tmp_path / "page.html").as_uri())
+        browser.get(write_report(folder, tmp_path / "page.html").as_uri())
         return browser
 
     yield open_report

@@ -10,7 +10,7 @@ from message_helpers import naming
 from report_helpers import UNFRIENDLY, Elements, html_of, write_evaluation, write_sweep
 
 from tactile_loc.core.runtime.errors import OutputError
-from tactile_loc.reports import find_source, write_report
+from tactile_loc.reports import write_report
 from tactile_loc.reports.page import Page, Section, load_templates, render
 
 
@@ -79,10 +79,9 @@ def test_the_page_permits_only_its_own_scripts():
 
 
 def test_a_report_is_written_completely_or_not_at_all(evaluation_folder, tmp_path):
-    source = find_source(evaluation_folder)
-    written = write_report(source, tmp_path / "new" / "page.html")
+    written = write_report(evaluation_folder, tmp_path / "new" / "page.html")
     assert written.read_text(encoding="utf-8").endswith("</html>\n")
     assert [path.name for path in written.parent.iterdir()] == ["page.html"]
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match=naming("page.html", "`out`")):
-        write_report(source, tmp_path / "file" / "page.html")
+        write_report(evaluation_folder, tmp_path / "file" / "page.html")

@@ -9,7 +9,7 @@ from message_helpers import missing, naming
 from report_helpers import Elements, html_of, page_in, sweep_rows, write_sweep
 
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.reports import find_source, write_report
+from tactile_loc.reports import write_report
 from tactile_loc.reports.sweep import find_components, find_measured_lines, find_varying, is_factor, read_rows
 
 
@@ -95,5 +95,5 @@ def test_options_are_texts_and_nan_values_are_missing():
 
 def test_an_unpaired_surrogate_is_shown_escaped(tmp_path):
     rows = [{**row, "object": "\ud800"} for row in sweep_rows()]
-    page = write_report(find_source(write_sweep(tmp_path, rows)))
+    page = write_report(write_sweep(tmp_path, rows))
     assert "ud800" in page.read_text(encoding="utf-8")

@@ -181,11 +181,11 @@ def next_touch(
 
 def _find_result(path: Path) -> Path:
     """Return the result.json of a folder, or the path itself if it is not a folder. Raises ResultError without one."""
-    from tactile_loc.reports import find_source
+    from tactile_loc.reports import find_result
 
     if not path.is_dir():
         return path
-    source = find_source(path)
-    if source.kind != "run":
+    document = find_result(path)
+    if document.stem != "result":
         raise ResultError(f"{path} is the folder of another command; give the folder that run wrote")
-    return source.path
+    return document

@@ -21,9 +21,10 @@ def report(result: Result, out: Out = None) -> dict[str, Any]:
 
     The result may be a run, an evaluation or a sweep. The file is self-contained and works offline.
     """
-    from tactile_loc.reports import find_source, write_report
+    from tactile_loc.reports import find_result, write_report
+    from tactile_loc.reports.report import KINDS
 
-    source = find_source(result)
-    written = write_report(source, out)
+    document = find_result(result)
+    written = write_report(document, out)
     say(f"written: {written}")
-    return {"kind": source.kind, "result": str(source.path), "report": str(written)}
+    return {"kind": KINDS[document.stem], "result": str(document), "report": str(written)}

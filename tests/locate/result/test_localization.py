@@ -15,7 +15,7 @@ from tactile_loc.io.streams.records import hash_document
 from tactile_loc.locate.localizer import localize_together
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.result_arrays import write_arrays
-from tactile_loc.reports import find_source
+from tactile_loc.reports import find_result
 from tactile_loc.reports.report import make_page
 from tactile_loc.store.files import write_json
 from tactile_loc.tracking.pose_modes import PoseModes
@@ -121,7 +121,7 @@ def test_reports_pictures_and_the_next_touch_work_from_the_files(pair, tmp_path)
 
     found, again = pair
     again.save(tmp_path)
-    assert make_page(find_source(tmp_path)).title
+    assert make_page(find_result(tmp_path)).title
     modes, other = PoseModes.of(again), PoseModes.of(found)
     np.testing.assert_allclose(modes.T_base_object, other.T_base_object, atol=1e-7)
     np.testing.assert_allclose(modes.probabilities, other.probabilities)
