@@ -14,15 +14,6 @@ from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 
 
-def test_a_candidate_above_the_sensor_is_brought_to_contact(pin_scene, pin_touches, off_by):
-    """The contact is registered, so the candidate's z must not matter."""
-    touch = pin_touches[0]
-    candidate = off_by(touch, 0.5, 2.0, 1.0)
-    lifted = Candidate(make_translation([0.0, 0.0, 0.002]) @ candidate.T_sensor_object, 0, 0.0)
-    a, b = (IcpRefiner().refine(touch, c, pin_scene).T_sensor_object for c in (candidate, lifted))
-    np.testing.assert_allclose(a, b, atol=1e-6)
-
-
 @pytest.mark.parametrize("camera", ["pinhole", "orthographic"])
 def test_tilt_and_height_are_refined(camera, make_object):
     """A wavy block is rotated about x and y and lifted; the refiner must undo this in all six directions."""
