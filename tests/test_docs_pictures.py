@@ -18,9 +18,9 @@ GEL = np.array([0.0, 0.0, 0.01])
 
 
 def tracked(k: int, T: np.ndarray | None, verdict: Verdict = Verdict.CERTAIN) -> TrackedPose:
-    T = np.empty((0, 4, 4)) if T is None else T[None]
-    C = np.repeat(np.diag([1e-8] * 3 + [1e-6] * 3)[None], len(T), axis=0)
-    return TrackedPose(0.1 * k, verdict, T, C, np.ones(len(T)), 0.9, False)
+    C = None if T is None else np.diag([1e-8] * 3 + [1e-6] * 3)
+    poses = np.empty((0, 4, 4)) if T is None else T[None]
+    return TrackedPose(verdict, poses, np.ones(len(poses)), C, 0.9, time_s=0.1 * k)
 
 
 @pytest.fixture(scope="module")

@@ -55,7 +55,7 @@ def _track(tracker: Tracker, time_s: float, frame: ReplayFrame) -> LocatedFrame:
     if frame.T_base_sensor is None or not (problem is None or isinstance(problem, NoContactError)):
         return LocatedFrame.of_error(problem or FrameError("the sensor's pose is unknown"))
     try:
-        found = tracker.update(time_s, frame.touch, frame.T_base_sensor).frame
+        found = tracker.update(time_s, frame.touch, frame.T_base_sensor)
     except TactileLocError as error:
         return LocatedFrame.of_error(error)
     return found if problem is None else replace(found, says=str(problem))

@@ -127,7 +127,7 @@ class LiveLocator:
 
     def _track(self, tracker: Tracker, frame: SourceFrame, touch: Touch | None) -> LocatedFrame:
         self._time_s = max(self._time_s, frame.time_s)  # a clock may be set back
-        return tracker.update(self._time_s, touch, self._T_base_sensor).frame
+        return tracker.update(self._time_s, touch, self._T_base_sensor)
 
 
 @dataclass(frozen=True)

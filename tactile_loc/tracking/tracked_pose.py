@@ -8,7 +8,7 @@ earlier touches. The other is the verdict of the search that found the pose.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,44 +23,21 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedPose:
-    """The object's pose at one frame.
+class TrackedPose(LocatedFrame):
+    """The object's pose at one frame of a track.
 
-    `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first. They have `covariances`
-    (K, 6, 6), as in RefinedPose, and `probabilities` (K,). If the probabilities sum to less than 1, the rest is the
-    probability that the pose is elsewhere. `imprint_iou`, 0 to 1, states how well the first pose explains the touch;
-    NaN without a touch.
+    The poses have `covariances` (K, 6, 6), as in RefinedPose. If their probabilities sum to less than 1, the rest is
+    the probability that the pose is elsewhere. Before the first touch, there is no pose.
 
     `verdict` is as in a run, with the tracker's threshold of a poor fit (`tracker.least_iou`). Without contact, poses
     are predicted. `searched` is true if poses were searched nearby or on the whole object, which takes longer.
     `slipped` is true at the frame whose touch shows that the object has moved.
     """
 
-    time_s: float
-    verdict: Verdict
-    T_sensor_object_modes: Floats
-    covariances: Floats
-    probabilities: Floats
-    imprint_iou: float
-    searched: bool
+    time_s: float = math.nan
+    covariances: Floats = field(default_factory=lambda: np.empty((0, 6, 6)))
+    searched: bool = False
     slipped: bool = False
-
-    @property
-    def T_sensor_object(self) -> Floats | None:  # noqa: N802 - the field's name
-        """The most probable pose (4, 4), metres; None before the first touch."""
-        return self.T_sensor_object_modes[0] if len(self.T_sensor_object_modes) else None
-
-    @property
-    def covariance(self) -> Floats | None:
-        """The covariance (6, 6) of the most probable pose, as in RefinedPose; None before the first touch."""
-        return self.covariances[0] if len(self.covariances) else None
-
-    @property
-    def frame(self) -> LocatedFrame:
-        """The pose as a located frame, the form shared with live runs, recordings and ROS."""
-        return LocatedFrame(
-            self.verdict, self.T_sensor_object_modes, self.probabilities, self.covariance, self.imprint_iou
-        )
 
     def __str__(self) -> str:
         """Return the time, the verdict, the first pose in mm and degrees, and its imprint IoU, in words."""

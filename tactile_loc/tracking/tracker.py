@@ -299,4 +299,5 @@ class Tracker:
         if self._modes:
             p = self._trust.share(np.exp([mode.nats - self._modes[0].nats for mode in self._modes]))
         verdict = self._trust.judge(bool(self._modes), imprint_iou, touched)
-        return TrackedPose(self._time_s, verdict, T, covariances, p, imprint_iou, searched, slipped)
+        seen = (verdict, T, p, covariances[0] if self._modes else None, imprint_iou)
+        return TrackedPose(*seen, time_s=self._time_s, covariances=covariances, searched=searched, slipped=slipped)

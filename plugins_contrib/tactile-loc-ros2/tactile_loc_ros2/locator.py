@@ -86,7 +86,7 @@ class ImageLocator:
             touch, says = None, str(error)
         tracker, time_s = self._follow_clock(read_stamp_ns(image.header) / NS)
         pose = tracker.update(time_s, touch, np.eye(4) if T_base_sensor is None else T_base_sensor)
-        return LocatedImage(replace(pose.frame, says=says), pose.slipped)
+        return LocatedImage(replace(pose, says=says), pose.slipped)
 
     def _follow_clock(self, time_s: float) -> tuple[Tracker, float]:
         """Return the tracker and the time of an image, seconds; a reset clock begins another track."""
