@@ -127,17 +127,6 @@ def test_build_trains_the_encoder_of_a_whole_object(cli):
 
 
 @pytest.mark.slow
-def test_an_interrupted_training_on_places_is_resumed(cli, monkeypatch):
-    words = ["build", *WHOLE, "--store", "fresh"]
-    interrupt_after_a_checkpoint(cli, monkeypatch, *words)
-    epochs = []
-    train = training.Trainer._train_epoch
-    monkeypatch.setattr(training.Trainer, "_train_epoch", lambda self, *a: epochs.append(self.epoch) or train(self, *a))
-    assert cli(*words).exit_code == 0
-    assert epochs == [1]
-
-
-@pytest.mark.slow
 def test_several_processes_train_one_encoder(tmp_path, run_process):
     (tmp_path / "sure.toml").write_text("temperature = 1e-3")  # no temperature is fitted
     words = ["--config", "sure.toml", "--store", "fresh"]

@@ -55,22 +55,14 @@ def test_a_mount_is_found_and_used(cli, tables):
 
 def test_bad_input_is_one_sentence(cli, tables):
     no_flange = '[[touch]]\npath = "touches/touch-0000.npz"\n'
-    turned = [
-        table(f"touch-{k:04d}", make_transform(rotation_about([0, 0, 1], 0.3 * k), [0.1, 0, 0])) for k in range(5)
-    ]
     for lines, mentioned in (
         (tables[:3], ("at least 4", " 3 touches")),
         ([*tables, no_flange], ("touch 9", "T_base_flange")),
-        (turned, ("axis", " z ")),
-        ([f'sensor = "digit"\n{tables[0]}'], ("'sensor'",)),
         ([tables[0] + 'sensor = "digit"\n', *tables[1:]], ("digit",)),
     ):
         assert_refused(cli("mount", *PIN, "--touch", written("bad.toml", *lines), "--out", "out"), *mentioned)
     Path("nominal.toml").write_text("xyz_mm = [0, 0, 0]\n")
     touches = ["--touch", written("touches.toml", *tables)]
     assert_refused(cli("mount", *PIN, *touches, "--nominal", "nominal.toml", "--out", "out"), "nominal.toml")
-    assert_refused(cli("mount", *PIN, *touches, "--nominal", "none.toml", "--out", "out"), "none.toml")
     assert_refused(cli("run", *PIN, *touches, "--out", "out"), "touch 1", "mount =")
-    lost = written("lost.toml", 'mount = "lost/mount.toml"', *tables)
-    assert_refused(cli("run", *PIN, "--touch", lost, "--out", "out"), "lost/mount.toml")
     assert not Path("out").exists()

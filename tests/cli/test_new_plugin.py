@@ -136,7 +136,7 @@ def test_the_package_is_written_to_the_given_folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("slot", "name", "mentioned"),
     [
-        *(("refiner", name, [repr(name), "hyphens"]) for name in ("My-refiner", "my_refiner", "-my", "my-", "my--own")),
+        *(("refiner", name, [repr(name), "hyphens"]) for name in ("My-own", "my_own", "-my", "my-", "my--own")),
         *(("refiner", name, [repr(name), "hyphens"]) for name in ("3d", "größer", "a b", "", "../x")),
         ("refiner", "x" * (LONGEST + 1), [str(LONGEST)]),
         ("refiner", "icp", ["'icp'", "tactile-loc"]),

@@ -114,15 +114,6 @@ def test_a_component_that_fails_to_initialize_is_one_sentence(cli, strange):
     assert_refused(cli("plugins", "matcher", "unmade", "--check"), "'unmade'", "OSError: no licence")
 
 
-def test_a_learned_encoder_is_trained(cli, monkeypatch):
-    from tactile_loc.plugins.encoders.moco.encoder import MocoEncoder
-
-    monkeypatch.setattr(MocoEncoder, "fit", lambda self, problem: 1 / 0)
-    done = cli("plugins", "encoder", "moco", "--check", "-o", "encoder.epochs=1")
-    assert done.exit_code == 1
-    assert "FAILED  train: ZeroDivisionError" in done.stdout
-
-
 @pytest.mark.parametrize(
     ("words", "mentioned"),
     [
@@ -146,13 +137,6 @@ def test_the_list_names_plugins_of_other_interfaces(cli):
     assert not missing(told[0], "was written for plugin interface 1", "this tactile-loc has 2")
     assert "pip install --upgrade tactile-loc" in told[1]
     assert [line for line in cli("plugins").stdout.splitlines() if line.startswith("interface: ")] == []
-
-
-@pytest.mark.parametrize("words", [[], ["--check"]])
-@pytest.mark.parametrize(("name", "version"), [("behind", 1), ("ahead", 99)])
-def test_a_component_of_another_interface_is_refused(cli, name, version, words):
-    with installed():
-        assert_refused(cli("plugins", "matcher", name, *words), f"'{name}'", f"plugin interface {version}")
 
 
 def test_the_command_returns_components_options_and_checks(strange):

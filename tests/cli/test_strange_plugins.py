@@ -60,12 +60,6 @@ def test_a_failing_plugin_matters_only_when_it_is_chosen(install, run_process):
     assert_one_error(done.stderr, done.returncode, "'broken'", "out of order")
 
 
-def test_a_component_that_fails_on_import_is_one_sentence(install, run_process):
-    site = install("half-broken", hook("half", "half_broken"), "1 / 0")
-    done = run_process("run", *TINY, "--refiner", "half", PYTHONPATH=site)
-    assert_one_error(done.stderr, done.returncode, "'half'", "half-broken", "ZeroDivisionError")
-
-
 def test_a_name_conflict_names_both_distributions(install, run_process):
     install("first-twin", hook("twin", "first_twin"), "")
     site = install("second-twin", hook("twin", "second_twin"), "")
