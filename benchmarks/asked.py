@@ -14,6 +14,8 @@ from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.registry import registry
 
+ROOT = Path(__file__).parents[1]
+
 
 def make_parser(about: str | None, objects: Sequence[str]) -> argparse.ArgumentParser:
     """Return a parser of a command line that names objects. Its help is the benchmark's docstring."""
@@ -21,6 +23,24 @@ def make_parser(about: str | None, objects: Sequence[str]) -> argparse.ArgumentP
     named = f"FILE[:UNITS] or the name of a demo object; default: {' '.join(objects)}"
     parser.add_argument("objects", nargs="*", default=objects, help=named)
     return parser
+
+
+def make_data_parser(about: str | None) -> argparse.ArgumentParser:
+    """Return a parser of a command line that names the folder of the public sets of images."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=_find_data, default=str(ROOT.parent / "shared" / "data" / "tactile"))
+    return parser
+
+
+def _find_data(path: str) -> Path:
+    if not Path(path).is_dir():
+        raise argparse.ArgumentTypeError(f"there is no {path}; give --data")
+    return Path(path)
+
+
+def write_head(*names: str) -> str:
+    """Return the head of a Markdown table."""
+    return f"| {' | '.join(names)} |\n|{'---|' * len(names)}"
 
 
 def split_asked(asked: str) -> tuple[str, Any]:

@@ -12,7 +12,6 @@ has the pose of the prism, located in the image with the whole object searched.
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -21,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import make_data_parser, write_head
 from numpy.typing import NDArray
-from real_images import PRESSES_MM, _find_tip, _measure_off, _read_image, _write_pose, write_head
+from real_images import PRESSES_MM, _find_tip, _measure_off, _read_image, _write_pose
 
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import deform_gel, recover_contact
@@ -162,12 +162,9 @@ def draw(known: Calibration, shapes: Path, poses: dict[str, Any], out: Path) -> 
 
 def main() -> None:
     """Measure, and print three tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "tactile")
+    parser = make_data_parser(__doc__)
     parser.add_argument("--picture", type=Path, help="PNG to draw")
     arguments = parser.parse_args()
-    if not arguments.data.is_dir():
-        parser.error(f"there is no {arguments.data}; give --data")
     shapes = arguments.data / "gelslim_shapes"
     poses = json.loads((shapes / "poses.json").read_text())
     with tempfile.TemporaryDirectory() as temporary:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from asked import load_asked, make_parser, make_source
+from asked import load_asked, make_parser, make_source, write_head
 from single_touch import choose_spacing, summarise_errors
 from tactile_loc_benchmark.suite import read_split
 
@@ -106,12 +106,6 @@ def report(row: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def write_header() -> str:
-    """Return the head of the Markdown table."""
-    names = ["object", "poses", "encoder", *(k for k in LINES if k != "random"), "random, mean", "training, s"]
-    return f"| {' | '.join(names)} |\n|{'---|' * len(names)}"
-
-
 def summarise(rows: list[dict[str, Any]]) -> str:
     """Return a comparison of the learned encoder with pixels over all objects."""
     ratios = np.array([r["moco"]["median_mm"]["best-1"] / r["pixel"]["median_mm"]["best-1"] for r in rows])
@@ -175,7 +169,7 @@ def search_whole(obj: ObjectModel, arguments: argparse.Namespace, name: str) -> 
 def compare_whole(arguments: argparse.Namespace) -> None:
     """Print a table of whole objects searched with each encoder, and write results.json."""
     names = ["object", "places", "encoder", *(f"{what}, {level}" for level in LEVELS for what in ("near", "listed"))]
-    print(f"| {' | '.join([*names, 'training, s'])} |\n|{'---|' * (len(names) + 1)}", flush=True)
+    print(write_head(*names, "training, s"), flush=True)
     rows = []
     for mesh in arguments.objects:
         for name in WHOLE_ENCODERS:
@@ -206,7 +200,8 @@ def main() -> None:
         compare_whole(arguments)
         return
     rows, runs = [], []
-    print(write_header(), flush=True)
+    shown = [name for name in LINES if name != "random"]
+    print(write_head("object", "poses", "encoder", *shown, "random, mean", "training, s"), flush=True)
     for mesh in arguments.objects:
         row, measured = measure(load_asked(mesh), arguments)
         rows.append(row)

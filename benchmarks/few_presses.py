@@ -9,14 +9,14 @@ repeatedly adds the press farthest from all chosen presses.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from asked import make_data_parser, write_head
 from numpy.typing import NDArray
-from real_images import SETS, read, reduce, write_head
+from real_images import SETS, read, reduce
 
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.labels import Chosen
@@ -73,14 +73,11 @@ def write_row(
 
 def main() -> None:
     """Run the benchmark and print its table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "tactile")
+    parser = make_data_parser(__doc__)
     parser.add_argument("--splits", type=int, default=3)
     parser.add_argument("--counts", type=int, nargs="+", default=COUNTS)
     parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS))
     arguments = parser.parse_args()
-    if not arguments.data.is_dir():
-        parser.error(f"there is no {arguments.data}; give --data")
     print(write_head("set", *map(str, arguments.counts), "all"))
     with tempfile.TemporaryDirectory() as temporary:
         for name in arguments.sets:

@@ -10,7 +10,6 @@ tested on labels by hand. `moved` are the found labels minus the offset.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import tempfile
 import time
@@ -18,8 +17,9 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from asked import make_data_parser, write_head
 from numpy.typing import NDArray
-from real_images import SETS, read, write_head
+from real_images import SETS, read
 
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.frames import PressImage
@@ -110,12 +110,9 @@ def compare(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str,
 
 def main() -> None:
     """Run the benchmark and print its tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "tactile")
+    parser = make_data_parser(__doc__)
     parser.add_argument("--splits", type=int, default=3)
     arguments = parser.parse_args()
-    if not arguments.data.is_dir():
-        parser.error(f"there is no {arguments.data}; give --data")
     rows = []
     with tempfile.TemporaryDirectory() as temporary:
         for number, name in enumerate(SETS):

@@ -14,7 +14,6 @@ circle from the sphere that fits best. The last column compares the surface with
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import shutil
@@ -26,8 +25,9 @@ from typing import Any
 
 import numpy as np
 import real_images
+from asked import make_data_parser, write_head
 from numpy.typing import NDArray
-from real_images import PRESSES_MM, SETS, SpherePress, write_head
+from real_images import PRESSES_MM, SETS, SpherePress
 
 from tactile_loc.io.images import load_image, write_image
 from tactile_loc.sensors.calibration.frames import PressImage
@@ -198,14 +198,11 @@ def compare_circles(plain: PressFolder, dotted: Path, gel: NDArray[np.uint8]) ->
 
 def main() -> None:
     """Run the benchmark and print its tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "tactile")
+    parser = make_data_parser(__doc__)
     parser.add_argument("--sets", nargs="+", default=list(SETS), choices=list(SETS))
     parser.add_argument("--splits", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1, help="seed of the lattice's place and of the shear")
     arguments = parser.parse_args()
-    if not arguments.data.is_dir():
-        parser.error(f"there is no {arguments.data}; give --data")
     rows: dict[str, list[str]] = {"shapes": [], "circles": [], "dots": []}
     with tempfile.TemporaryDirectory() as temporary:
         print(write_head("set", "dots", "surface angle", "shape in the contact", "untouched gel"))

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from asked import make_parser, make_source, name_asked, open_asked
+from asked import make_parser, make_source, name_asked, open_asked, write_head
 from elastic_gel import SIZES_PX
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion
@@ -130,8 +130,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         store = StageStore(Path(folder))
         found = [one for mesh in arguments.objects for one in measure(mesh, arguments, store)]
-    print("| object | shown | touches | examples | first | listed | above 90 % | of these right | s |")
-    print(f"|{'---|' * 9}")
+    print(
+        write_head(*["object", "shown", "touches", "examples", "first", "listed", "above 90 %", "of these right", "s"])
+    )
     for name in [*dict.fromkeys(one.object for one in found), "all"]:
         for shown in SHOWN:
             for count in arguments.touches:

@@ -13,7 +13,6 @@ this circle. `surface` is the depth of the top of the sphere that fits the middl
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 import time
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from asked import make_data_parser, write_head
 from numpy.typing import NDArray
 
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -216,11 +216,6 @@ def locate(sensor: Path, shapes: Path, store: Path) -> list[str]:
     return rows
 
 
-def write_head(*names: str) -> str:
-    """Return the head of a Markdown table."""
-    return f"| {' | '.join(names)} |\n|{'---|' * len(names)}"
-
-
 def _measure_off(T: NDArray[np.float64], pose: dict[str, Any], geometry: SensorGeometry) -> tuple[float, float, float]:
     """Return the error of a pose of the prism: x and y of the tip in mm, and yaw in degrees."""
     tip_m = T @ np.array([0.0, 0.0, TIP_Z_M, 1.0])
@@ -268,13 +263,10 @@ def _time(work: Any) -> float:
 
 def main() -> None:
     """Run the benchmark and print its tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data" / "tactile")
+    parser = make_data_parser(__doc__)
     parser.add_argument("--splits", type=int, default=3)
     parser.add_argument("--calibrations", action="store_true", help="stop before reading and locating other shapes")
     arguments = parser.parse_args()
-    if not arguments.data.is_dir():
-        parser.error(f"there is no {arguments.data}; give --data")
     with tempfile.TemporaryDirectory() as temporary:
         work = Path(temporary)
         small, calibrations = {}, {}

@@ -17,11 +17,12 @@ import argparse
 import dataclasses
 import itertools
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from asked import make_parser, make_source, open_asked
+from asked import make_parser, make_source, open_asked, write_head
 from elastic_gel import SIZES_PX, press_elastic, view_as
 from tactile_loc_benchmark.suite import read_split
 
@@ -37,6 +38,7 @@ from tactile_loc.store.store import StageStore
 MM = 1e3
 RIGHT_MM = 1.0
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+BIN_NAMES = [f"{low:.0%} to {high:.0%}" for low, high in itertools.pairwise(BINS)]
 
 
 class Stated(NamedTuple):
@@ -109,8 +111,8 @@ def measure(mesh: str, layer: Gel, arguments: argparse.Namespace, store: StageSt
     return found, failed
 
 
-def write_row(name: str, found: list[Stated]) -> str:
-    """Return a row of the table."""
+def write_row(name: str, found: Sequence[Any]) -> str:
+    """Return a row of the table, given examples with a stated `probability` and whether their pose is `right`."""
     p, right = np.array([one.probability for one in found]), np.array([one.right for one in found])
     bin_of = np.clip(np.digitize(p, BINS) - 1, 0, len(BINS) - 2)
     bins = [bin_of == k for k in range(len(BINS) - 1)]
@@ -137,8 +139,7 @@ def main() -> None:
         for mesh in arguments.objects:
             more, errors = measure(mesh, layer, arguments, StageStore(Path(folder)))
             found, failed = found + more, failed + errors
-    bins = " | ".join(f"{low:.0%} to {high:.0%}" for low, high in itertools.pairwise(BINS))
-    print(f"| gel | touches | noise | all | {bins} |\n|{'---|' * (len(BINS) + 3)}")
+    print(write_head("gel", "touches", "noise", "all", *BIN_NAMES))
     for gel in arguments.gels:
         for count in arguments.touches:
             alike = [one for one in found if (one.gel, one.touches) == (gel, count)]

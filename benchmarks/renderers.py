@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from asked import write_head
 
 from tactile_loc.core.geometry.rigid import Float32, Poses, draw_rotations, make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
@@ -123,7 +124,7 @@ def show(rows: Sequence[Row]) -> None:
     print("Contact poses at 200 x 200 px (medians; agreement with raycast)\n")
     names = ["camera", "mesh", "faces", "poses/rot.", "renderer"]
     names += ["poses/s", "x pyrender", "same contact %", "IoU %", "depth diff. um"]
-    print(f"| {' | '.join(names)} |\n|{'---|' * len(names)}")
+    print(write_head(*names))
     for r in rows:
         speed = (f"{r.poses_per_s:.0f}", f"{r.ratio_to_pyrender:.1f}")
         match = (f"{100 * r.mask_agreement:.3f}", f"{100 * r.contact_iou:.2f}", f"{r.depth_difference_um:.3f}")

@@ -20,6 +20,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from asked import write_head
 from single_touch import choose_spacing
 from tactile_loc_benchmark.suite import read_split
 
@@ -135,7 +136,7 @@ def main() -> None:
     held_out = ", ".join(f"{k} {v:.3g}" for k, v in done.mean_errors.items())
     seconds = time.perf_counter() - start
     print(f"{arguments.estimator}, {len(done.presses)} presses, {seconds:.0f} s; held out: {held_out}\n")
-    print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
+    print(write_head(*COLUMNS))
     measured = []
     for name in read_split("demo"):
         touches = Localizer.create(name, sensor=arguments.sensor).simulate(arguments.touches, seed=arguments.seed)
@@ -145,7 +146,7 @@ def main() -> None:
     if not arguments.locate:
         return
     names = ["object", "poses", "encoder", *(f"{line} from {what}" for line in LINES for what in WHAT), "closest"]
-    print(f"\n| {' | '.join(names)} |\n|{'---|' * len(names)}")
+    print(f"\n{write_head(*names)}")
     with tempfile.TemporaryDirectory() as temporary:
         folder = done.write(Path(temporary) / "sensor")
         for encoder in arguments.encoder or ["pixel"]:

@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from asked import make_parser, make_source, name_asked, open_asked
+from asked import make_parser, make_source, name_asked, open_asked, write_head
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.runtime.errors import TactileLocError
@@ -93,11 +93,8 @@ def main() -> None:
             for row in measure(mesh, arguments, StageStore(arguments.store)):
                 print(json.dumps(row), flush=True)
         return
-    print(
-        f"| object | touches | kind | threads | {' | '.join(f'{name}, ms' for name in STAGES)} | all, ms | 95 %, ms |",
-        end="",
-    )
-    print(f" right |\n|{'---|' * 11}")
+    timed = [f"{name}, ms" for name in (*STAGES, "all", "95 %")]
+    print(write_head("object", "touches", "kind", "threads", *timed, "right"))
     with tempfile.TemporaryDirectory() as folder:
         for threads in arguments.threads:
             environment = os.environ | {"NUMBA_NUM_THREADS": str(threads), "OMP_NUM_THREADS": "1"}

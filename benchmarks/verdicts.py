@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import itertools
 import json
 import tempfile
 from collections.abc import Iterator
@@ -23,9 +22,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from asked import make_parser, make_source, name_asked, open_asked
+from asked import make_parser, make_source, name_asked, open_asked, write_head
 from elastic_gel import SIZES_PX
-from reliability import BINS, MM, RIGHT_MM, draw_example
+from reliability import BIN_NAMES, MM, RIGHT_MM, draw_example, write_row
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.poses.tolerance import measure_surface_distances
@@ -105,16 +104,6 @@ def measure(
             yield judge(localizer, touches[:count], about._replace(touches=count))
 
 
-def write_reliability(name: str, found: list[Judged]) -> str:
-    """Return a row of the first table."""
-    p, right = np.array([one.probability for one in found]), np.array([one.right for one in found])
-    bin_of = np.clip(np.digitize(p, BINS) - 1, 0, len(BINS) - 2)
-    cells = []
-    for some in (p >= 0, *(bin_of == k for k in range(len(BINS) - 1))):
-        cells.append(f"{p[some].mean():.0%}, {right[some].mean():.0%} ({some.sum()})" if some.any() else "-")
-    return f"| {name} | {' | '.join(cells)} |"
-
-
 def write_verdicts(name: str, found: list[Judged]) -> str:
     """Return a row of the second table."""
     certain = [one for one in found if one.verdict == "certain"]
@@ -129,17 +118,14 @@ def print_tables(found: list[Judged], arguments: argparse.Namespace) -> None:
     """Print both tables: for the objects of the fit and for the others, by gel, touches and noise."""
     groups = {"fitted": [one for one in found if one.object in FITTED]}
     groups["others"] = [one for one in found if one.object not in FITTED]
-    bins = " | ".join(f"{low:.0%} to {high:.0%}" for low, high in itertools.pairwise(BINS))
-    print(f"| objects | touches | all | {bins} |\n|{'---|' * (len(BINS) + 2)}")
+    print(write_head("objects", "touches", "all", *BIN_NAMES))
     for name, group in groups.items():
         for count in ("all", *arguments.touches):
             some = [one for one in group if count in ("all", one.touches) and one.verdict != "error"]
             if some:
-                print(write_reliability(f"{name} | {count}", some))
-    print(
-        "\n| gel | touches | noise | examples | certain | of these right | ambiguous | poor fit | not found |", end=""
-    )
-    print(f" determined: certain |\n|{'---|' * 10}")
+                print(write_row(f"{name} | {count}", some))
+    verdicts = ("certain", "of these right", "ambiguous", "poor fit", "not found", "determined: certain")
+    print("\n" + write_head("gel", "touches", "noise", "examples", *verdicts))
     for gel in GELS:
         for count in arguments.touches:
             for level in NOISE:
