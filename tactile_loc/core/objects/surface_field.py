@@ -27,6 +27,7 @@ MOST_CELLS = 6_000_000
 KEPT_BYTES = 512 * 2**20  # of fields in memory
 FAR = 255  # value of a distance of `reach_m` or more
 SAME, SAME_SQUARED = 1e-9, 1e-18  # squared distances are equal up to this share of them, plus this much
+MOST_TIES = 16  # steps to equally near triangles in one search
 SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
 
 
@@ -190,26 +191,28 @@ def walk_to_nearest(x, y, z, f, triangles):
 
     The search starts at triangle f, and goes over shared edges as long as the triangles become nearer. If the nearest
     point is on an edge, rounding must not choose between its triangles. So the triangle that faces the point most is
-    taken, or else the first one.
+    taken, or else the first one. Three triangles may each be preferred to the next one, because what counts as equal is
+    a range. So the search goes to an equally near triangle MOST_TIES times at most.
     """
     corners, sides, normals = triangles.corners, triangles.sides, triangles.normals
     ends, beside = triangles.ends, triangles.beside
-    least = _measure_squared_distance(x, y, z, f, corners, sides)
+    least, ties = _measure_squared_distance(x, y, z, f, corners, sides), 0
     while True:
-        best, tie = f, SAME * least + SAME_SQUARED
+        best, tie, before = f, SAME * least + SAME_SQUARED, least
         for number in range(ends[f], ends[f + 1]):
             other = beside[number]
             off = _measure_off(x, y, z, other, corners, normals)
             if off < least - tie:  # otherwise even the plane of the triangle is farther
                 d = _measure_squared_distance(x, y, z, other, corners, sides)
                 nearer = d < least - tie
-                if not nearer and d <= least + tie:
+                if not nearer and d <= least + tie and ties < MOST_TIES:
                     faces_more = off - _measure_off(x, y, z, best, corners, normals)
                     nearer = faces_more > tie or (faces_more >= -tie and other < best)
                 if nearer:
                     least, best = d, other
         if best == f:
             return f, least
+        ties += least >= before - tie
         f = best
 
 

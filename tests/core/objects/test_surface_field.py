@@ -127,3 +127,14 @@ def test_rounding_does_not_choose_between_the_triangles_of_an_edge():
     above_y = beyond[:, 0] > beyond[:, 1]
     np.testing.assert_allclose(normals[50:][above_y[50:]], np.broadcast_to([0, 1, 0], (above_y[50:].sum(), 3)))
     np.testing.assert_allclose(normals[50:][~above_y[50:]], np.broadcast_to([0, 0, 1], ((~above_y[50:]).sum(), 3)))
+
+
+def test_a_search_ends_at_a_corner_whose_triangles_are_almost_equally_near():
+    """Above this flat corner, each of three triangles is preferred to the next one, because equal is a range."""
+    angle = np.radians([0, 120, 240])
+    heights = [-1.49686227971962e-4, -1.48554223018370e-4, -1.50795846674782e-4]
+    rim = 5e-3 * np.column_stack([np.cos(angle), np.sin(angle), heights])
+    fan = TriangleMesh(np.vstack([np.zeros(3), rim]), np.array([(0, 3, 1), (0, 2, 3), (0, 1, 2)]))
+    triangles = SurfaceField.of(fan).triangles
+    for first in range(3):
+        assert module.walk_to_nearest(0.0, 0.0, 1e-3, first, triangles)[1] == pytest.approx(1e-6)
