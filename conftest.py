@@ -34,7 +34,7 @@ from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.probability import conformal_fit, probabilities
+from tactile_loc.locate.probability import temperature
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.sensors.calibration import gel_fit
@@ -90,14 +90,10 @@ def shared_data() -> Path:
 
 @pytest.fixture(autouse=True, scope="session")
 def shipped_touches() -> Iterator[int]:
-    """The number of touches for fitting probabilities; the tests use much fewer, because few depend on it."""
-    shipped = probabilities.TOUCHES
+    """The number of touches for fitting a temperature; the tests use much fewer, because few depend on it."""
+    shipped = temperature.TOUCHES
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(probabilities, "TOUCHES", shipped // 20)
-        patch.setattr(probabilities, "FUSED_EXAMPLES", 3)
-        patch.setattr(probabilities, "SEARCHED", 9)
-        patch.setattr(probabilities, "SEARCHED_EXAMPLES", 1)
-        patch.setattr(conformal_fit, "EXAMPLES", {1: (10, 8, 4), 2: (2, 2, 0)})
+        patch.setattr(temperature, "TOUCHES", shipped // 20)
         yield shipped
 
 

@@ -29,12 +29,13 @@ from tactile_loc_benchmark.suite import read_split
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.metrics import compute_surface_distances
 from tactile_loc.evaluation.recall.evaluation import is_determined
-from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.evaluation.robot_touches import RobotTouches, measure_noisily
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
 
@@ -146,6 +147,17 @@ def main() -> None:
                 print(write_row(name_asked(name), case, found), flush=True)
     for case in CASES:
         print(write_row("all", case, total[case]))
+
+
+def add_noise(touch: Touch, source: RobotTouches, noise: TouchNoise, rng: np.random.Generator) -> Touch:
+    """Return the touch with noise. Raises TouchError if a sensor cannot distinguish it from no touch."""
+    press_m, deepest_m = touch.indentation_m, source.geometry.max_depth_m
+    geometry = source.geometry.press(press_m, deepest_m)
+    depth_m = touch.contact_shape.depth_m
+    clean = np.where(depth_m < np.float32(press_m), depth_m, np.float32(deepest_m))
+    seen_m, measured_m = measure_noisily(noise, clean[None], press_m, geometry, rng)
+    unpressed = dataclasses.replace(source.geometry, gel=touch.geometry.gel)
+    return dataclasses.replace(touch, contact_shape=ContactShape(seen_m, measured_m), geometry=unpressed)
 
 
 def view_as(touch: Touch, gel: Gel) -> Touch:

@@ -34,8 +34,7 @@ from typing import TypeVar
 
 import numpy as np
 from asked import make_source, name_asked, open_asked
-from elastic_gel import SIZES_PX, press_elastic, view_as
-from reliability import add_noise
+from elastic_gel import SIZES_PX, add_noise, press_elastic, view_as
 from sequences import SENSOR_STD_M, SENSOR_STD_RAD
 from tactile_loc_benchmark.sliding_touches import Frame, SlidingTouches
 from tactile_loc_benchmark.suite import read_split

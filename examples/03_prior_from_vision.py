@@ -48,7 +48,7 @@ prior = GaussianPrior(T_sensor_object, 0.005, np.radians(8), localizer.object.sy
 
 alone, with_prior = localizer.localize(touch), localizer.localize(touch, prior)
 for name, result in (("touch alone", alone), ("touch and camera", with_prior)):
-    near, error_mm = result.state_within("1mm"), 1e3 * result.measure_errors_m(localizer.object)[0]
+    near, error_mm = result.probability_within("1mm"), 1e3 * result.measure_errors_m(localizer.object)[0]
     stated = "" if near is None else f"within 1 mm with {near:.0%} probability, "
     print(f"{name}: {result.verdict}, {stated}in truth {error_mm:.2f} mm off")
 

@@ -35,6 +35,7 @@ import figures
 from results import NUMBER, RESULTS, ROOT, Kept, Table, find_tables, list_versions, read_before, read_latest
 
 BENCHMARKS = ROOT / "benchmarks"
+SHARED = ("asked", "determined")  # modules that benchmarks share
 PAGE = RESULTS / "README.md"
 PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu")
 WORSE = 0.1  # share by which a time may grow
@@ -184,7 +185,7 @@ def _run_benchmark(script: Path, arguments: list[str], environment: dict[str, st
 
 def list_benchmarks() -> list[str]:
     """Return the names of all benchmarks."""
-    return sorted(path.stem for path in BENCHMARKS.glob("*.py") if path.stem != "asked")  # that is what they share
+    return sorted(path.stem for path in BENCHMARKS.glob("*.py") if path.stem not in SHARED)
 
 
 def compare(folder: Path = RESULTS) -> int:

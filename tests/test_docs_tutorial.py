@@ -19,9 +19,7 @@ from page_helpers import read_page
 PAGE = read_page("tutorial-plugin.md")
 BLOCK = re.compile(r"(?:^`(?P<path>[\w/.-]+)`\n\n)?^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 OFFLINE = {"PIP_NO_INDEX": "1", "PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
-FEWER = (
-    "from tactile_loc.locate.probability import probabilities; probabilities.TOUCHES //= 10"  # as in the other tests
-)
+FEWER = "from tactile_loc.locate.probability import temperature; temperature.TOUCHES //= 10"  # as in the other tests
 COMMANDS = {
     "tactile-loc": f"{FEWER}\nfrom tactile_loc_cli.main import main; main()",
     "pip": "import sys; from pip._internal.cli.main import main; sys.exit(main())",

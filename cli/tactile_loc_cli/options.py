@@ -177,9 +177,13 @@ class RunOptions:
         str | None,
         declare(
             "--tolerance MM,DEG",
-            "Largest error of a pose that is called certain: a surface distance, a rotation, or both, such as "
-            "0.5mm,2deg. Default: 1mm.",
+            "Largest error of a pose that is called certain: a pose error, a rotation, or both, such as 0.5mm,2deg. "
+            "Or shape:1mm for the shape alone, or tip:0.5mm@0,0,30 for a point of the mesh in mm. Default: 1mm.",
         ),
+    ] = None
+    confidence: Annotated[
+        float | None,
+        declare("--confidence P", "Probability from which a pose is called certain, such as 0.99. Default: 0.95."),
     ] = None
     seed: Annotated[int | None, declare("--seed N", "Seed of everything random. Default: 0.")] = None
 
@@ -257,7 +261,7 @@ def make_config(given: RunOptions) -> RunConfig:
         grid = settings["grid"]["name"]
     if given.zero is not None:
         _require_zero(settings["sensor"]["name"])
-    chosen = _drop_none({name: getattr(given, name) for name in ("top", "coverage", "tolerance", "seed")})
+    chosen = _drop_none({name: getattr(given, name) for name in ("top", "coverage", "tolerance", "confidence", "seed")})
     own = {**{name: _drop_none(table) for name, table in tables.items()}, **plain, **chosen}
     own |= {name: overrides[name] for name in TUNABLE if name in overrides}
     RunConfig.from_dict(own, COMMAND_LINE)  # raises errors that name the flag, not the file

@@ -41,14 +41,10 @@ def say_result(found: Localization) -> None:
 
     The poses are in the base frame or, if the sensor's pose is unknown, in the sensor frame.
     """
-    from tactile_loc.locate.result.verdict import Verdict, explain_verdict
-
     errors_m, next_step = found.measure_errors_m(found.object), found.assessment.next_step
     header = ["rank", "prob. %", *POSE, IMPRINT, *([] if errors_m is None else ["error mm"])]
     within = found.describe_within()
-    say(f"{found.verdict}: {explain_verdict(found.verdict)}{within and f' ({within})'}")
-    if found.verdict is Verdict.AMBIGUOUS and str(found.freedom):
-        say(f"open: {found.freedom}")
+    say(f"{found.verdict}: {found.explain()}{within and f' ({within})'}")
     if next_step:
         say(f"next: {next_step}")
     frame = f"frame of {found.made_with.sensor_name}" if found.best.T_base_object is None else "base frame"
@@ -105,8 +101,8 @@ def _summarise(found: Localization) -> Iterator[str]:
     if (errors := found.assessment.errors) is not None:
         yield (
             f"pose error: {format_mm(errors.best_m)} mm (best pose), {format_mm(errors.best_listed_m)} mm (nearest "
-            f"listed pose), {format_mm(errors.closest_in_grid_m)} mm (nearest grid pose); the RMS surface "
-            "distance, with symmetric poses counted as equal"
+            f"listed pose), {format_mm(errors.closest_in_grid_m)} mm (nearest grid pose): the largest displacement of "
+            "any surface point, with symmetric poses counted as equal"
         )
     yield "time: " + ", ".join(f"{stage} {format_duration(s)}" for stage, s in found.seconds.items())
 

@@ -11,17 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scene import OPEN_M
 from scipy.spatial.transform import Rotation
-from shapes import TIP_Z_M, Part
+from shapes import Part
 from touching import open_gels
 
 from tactile_loc import Approach, Localization, PoseModes, Verdict, choose_next_touch
-from tactile_loc.plugin import cross_matrix, make_transform, make_translation, rotation_about
+from tactile_loc.plugin import make_transform, make_translation, rotation_about
 
 Pose = NDArray[np.float64]
 
 MOST_GRASPS = 6
-MOST_STD_M = 3e-4  # of the tip, in the worst direction: the chamfers catch three times as much
-NEAR_M, LEAST_NEAR = 1e-3, 0.9  # the tip has to be within this distance, with this probability
 PRESS_M = 4e-4  # about the press of a grasp
 SPREAD = 2.0  # standard deviations, by which the first pose is moved to find a touch that measures it better
 OPEN_DIRECTIONS = 2  # the directions of the covariance in which it is moved
@@ -43,34 +41,9 @@ class Placement:
     name: str
 
 
-@dataclass(frozen=True)
-class TipEstimate:
-    """How well the tip is known: its standard deviation in the worst direction, metres, and `near`, 0 to 1.
-
-    `near` is the probability of the listed poses whose tip is within NEAR_M of that of the first pose. The verdict
-    does not state this: it counts the mean distance between surfaces, and a long part may slide along itself.
-    """
-
-    std_m: float
-    near: float
-
-    @classmethod
-    def of(cls, found: Localization) -> TipEstimate:
-        """Estimate the tip of the first pose."""
-        covariance, T = found.best.covariance, np.stack([h.T_sensor_object for h in found.hypotheses])
-        p = np.array([h.probability for h in found.hypotheses])
-        tips_m = T[:, :3, 3] + T[:, :3, :3] @ [0, 0, TIP_Z_M]
-        near = np.linalg.norm(tips_m - tips_m[0], axis=1) <= NEAR_M
-        if covariance is None:
-            return cls(np.inf, float(p[near].sum() / p.sum()))
-        lever = np.hstack([np.eye(3), -cross_matrix(T[0, :3, :3] @ [0, 0, TIP_Z_M])])
-        variance = np.linalg.eigvalsh(lever @ covariance @ lever.T).max()
-        return cls(float(np.sqrt(variance)), float(p[near].sum() / p.sum()))
-
-
-def decide(verdict: Verdict, tip: TipEstimate, grasps: int) -> Action:
-    """Return the next action, given the verdict on all touches, the estimate of the tip, and the past grasps."""
-    if verdict is Verdict.CERTAIN and tip.std_m <= MOST_STD_M and tip.near >= LEAST_NEAR:
+def decide(verdict: Verdict, grasps: int) -> Action:
+    """Return the next action, given the verdict on the tip from all touches, and the past grasps."""
+    if verdict is Verdict.CERTAIN:
         return Action.INSERT
     return Action.TOUCH if grasps < MOST_GRASPS else Action.STOP
 

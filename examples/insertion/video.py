@@ -88,7 +88,7 @@ class Camera:
         bench, large, small = self.bench, ImageFont.load_default(20), ImageFont.load_default(14)
         verdict = bench.log[-1].verdict.value if bench.log else "no verdict yet"
         pen.text((x, y), verdict, fill=VERDICT_COLOURS.get(verdict, "black"), font=large)
-        within = bench.log[-1].state_within() if bench.log else None
+        within = bench.log[-1].probability_within() if bench.log else None
         lines = [f"within {bench.log[-1].tolerance.describe()}: {within:.0%}" if within is not None else ""]
         lines += [f"grasp {len(bench.placements)}: {bench.placements[-1]}", f"touches: {len(bench.touches)}"]
         lines.append("inserting" if bench.started is not None else "locating")

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.poses.pose_errors import compute_adds, compute_mssd
+from tactile_loc.core.poses.pose_errors import compute_adds, measure_pose_errors
 from tactile_loc.core.poses.posterior import PosePosterior
 
 POSTERIOR_METRICS = ("nll_nats", "credible_level", "entropy_nats", "expected_error_m", "spread_m")
@@ -69,7 +69,7 @@ class PoseJudge:
         errors = (
             compute_surface_distances(self.object, poses, T_true),
             compute_adds(self.object, self.points_m, poses, T_true),
-            compute_mssd(self.object, self.object.mesh.hull_corners_m, poses, T_true),
+            measure_pose_errors(self.object, poses, T_true),
         )
         return np.stack(errors, axis=1)
 

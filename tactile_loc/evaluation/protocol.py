@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseGrid
-from tactile_loc.core.poses.pose_errors import compute_add_s, compute_adds, compute_mssd
+from tactile_loc.core.poses.pose_errors import compute_add_s, compute_adds, measure_pose_errors
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.noise import make_noise
@@ -111,7 +111,7 @@ class TouchEvaluator:
         distinct = distinct.reshape(-1, 4, 4)
         errors = (
             compute_adds(obj, self._points_m, distinct, T_true),
-            compute_mssd(obj, obj.mesh.hull_corners_m, distinct, T_true),
+            measure_pose_errors(obj, distinct, T_true),
             compute_add_s(self._points_m, distinct, T_true, ASKED_EVERY),
         )
         return np.stack(errors, axis=1)[where.ravel()]
@@ -224,7 +224,7 @@ def describe_located(localizer: Localizer, touches: SimulatedTouches, count: int
     matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
     return {
         **localizer.source.describe_scores(),
-        "temperature_scaling": asdict(localizer.probabilities.temperature_scaling),
+        "temperature_scaling": asdict(localizer.source.temperature_scaling),
         "matcher": matcher.describe(),
         "fuser": localizer.fuser.describe(),
         **touches.describe(localizer),

@@ -15,7 +15,7 @@ from tactile_loc.core.runtime.errors import ConfigError, did_you_mean
 from tactile_loc.core.sensing.depth_maps import DepthUnit, TouchKind
 from tactile_loc.core.sensing.noise import NoiseLevel
 from tactile_loc.core.sensing.sensor_geometry import Drawing
-from tactile_loc.io.options import TUNABLE, HypothesisOptions, SearchOptions, StrictModel, TrackerOptions
+from tactile_loc.io.options import CERTAIN, TUNABLE, HypothesisOptions, SearchOptions, StrictModel, TrackerOptions
 from tactile_loc.io.toml import parse_value, read_toml, scale
 from tactile_loc.slots.options import validate_options
 from tactile_loc.slots.registry import SLOTS, registry
@@ -108,6 +108,7 @@ class RunConfig(StrictModel):
     `drop_outliers` leaves out touches that contradict the others.
     `coverage` (0 to 1) returns a set of poses that contains the true pose with this probability.
     `tolerance`, such as "0.5mm,2deg", is the largest error of a pose that counts as right in the verdict.
+    `confidence` (0 to 1) is the probability from which such a pose is certain.
     `encoder` has a default that depends on the grid.
     `search`, `hypotheses` and `tracker` hold options to tune: see their classes.
     `drawing` selects how the object is drawn for comparison with a touch: "pressed" into the gel, or just touching the
@@ -130,6 +131,7 @@ class RunConfig(StrictModel):
     together: Literal["joint", "each"] = "joint"
     coverage: float | None = Field(default=None, gt=0, lt=1)
     tolerance: ToleranceText = ONE_MILLIMETRE
+    confidence: float = Field(default=CERTAIN, gt=0, lt=1)
     drawing: Drawing = "pressed"
     drop_outliers: bool = False
     search: SearchOptions = SearchOptions()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict, Field
 
 TUNABLE = ("search", "hypotheses", "tracker")
-CERTAIN = 0.9  # probability at which a pose counts as certain
+CERTAIN = 0.95  # probability from which a pose is certain
 
 
 class StrictModel(BaseModel):

@@ -14,15 +14,16 @@ from tactile_loc.core.poses.merging import merge_modes, suppress_non_maxima
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 from tactile_loc.core.poses.posterior import TIE_NATS, Mode, PosePosterior, group_ties, rank_poses
 from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.sensing.scene import IOU_PX, View
 from tactile_loc.io.options import HypothesisOptions
-from tactile_loc.locate.probability.nearness import NATS_PER_IOU
-from tactile_loc.locate.probability.probabilities import TemperatureScaling
+from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.result.hypothesis import Hypothesis
 
 # A pose that leaves the share x of the imprints of N touches unexplained has the score -ln(x + LEAST_UNEXPLAINED). The
 # temperature is 1 / (N SHARPNESS_OF_ONE).
 LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
+NATS_PER_IOU = 30.0  # nats of a prior, or of an error of a sensor pose, that count as much as an imprint IoU of 1
 MASK_SHARE = 0.5
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
 EXCLUDED = -1e6  # nats: log-weight of a pose that the prior excludes
@@ -62,16 +63,43 @@ def compare_refined(
     return ious
 
 
-def merge_hypotheses(hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float) -> tuple[Hypothesis, ...]:
+def turn_half_steps(hypothesis: Hypothesis, metric: PoseMetric) -> list[RefinedMode]:
+    """Return poses that follow from a hypothesis by half a step of each symmetry of the object, with its grid pose.
+
+    Such a pose can be nearer than other poses that are refined, and explain touches as well that miss what
+    distinguishes it.
+    """
+    pose, found = hypothesis.refined, []
+    for turn in metric.object.symmetry.list_half_steps():
+        seen = None if pose.T_sensors_object is None else pose.T_sensors_object @ turn
+        reported = None if pose.T_reported_object is None else pose.T_reported_object @ turn
+        turned = dataclasses.replace(
+            pose,
+            T_sensor_object=pose.T_sensor_object @ turn,
+            T_sensors_object=seen,
+            T_reported_object=reported,
+            covariance=None,
+            reported_covariance=None,
+            imprint_iou=None,
+        )
+        mode = Mode(hypothesis.grid_index, 0.0, hypothesis.T_sensor_object_grid, np.empty(0, np.int64))
+        found.append((mode, turned))
+    return found
+
+
+def merge_hypotheses(
+    hypotheses: Sequence[Hypothesis], metric: PoseMetric, radius_m: float, tolerance: Tolerance | None = None
+) -> tuple[Hypothesis, ...]:
     """Merge hypotheses whose refined poses are within `radius_m` metres of a likelier one.
 
     `hypotheses` are sorted, the most probable first. A merged hypothesis has the probability of its likeliest member,
     because a pose is not likelier if several modes lead to it. All probabilities are then scaled to keep their sum.
-    Poses that did not converge are merged within `radius_m` / STILL_MOVING.
+    Poses that did not converge are merged within `radius_m` / STILL_MOVING. Poses that are not within a `tolerance` of
+    each other stay apart, such as those of a small screw turned by half a step of its symmetry.
     """
     poses = np.array([h.T_sensor_object for h in hypotheses]).reshape(-1, 4, 4)
     still_m = [radius_m if h.refined.converged else radius_m / STILL_MOVING for h in hypotheses]
-    of = merge_modes(poses, metric, still_m)
+    of = merge_modes(poses, metric, still_m, tolerance=tolerance)
     counts = np.bincount(of, [h.grid_poses for h in hypotheses]).astype(int)
     merged = [dataclasses.replace(hypotheses[k], grid_poses=int(counts[k])) for k in np.unique(of)]
     kept, total = sum(h.probability for h in merged), sum(h.probability for h in hypotheses)
@@ -158,7 +186,7 @@ def compare_where_seen(
     if seen is None:
         return ious, evidence
     for number, view in enumerate(views):
-        nats = _compute_sensor_error_nats(
+        nats = compute_sensor_error_nats(
             view, first or views[0], seen[:, number] @ invert(view.T_sensor_first @ T_first_object)
         )
         there = view.scene.compare_imprints(seen[:, number], view.touch)
@@ -192,7 +220,7 @@ def find_seen_poses(views: Sequence[View], refined: Sequence[RefinedPose]) -> ND
     return seen
 
 
-def _compute_sensor_error_nats(view: View, first: View, error: Poses) -> NDArray[np.float64]:
+def compute_sensor_error_nats(view: View, first: View, error: Poses) -> NDArray[np.float64]:
     """Return the cost (K,), nats, of errors (K, 4, 4), metres, of a sensor's pose relative to the first one's."""
     std_m = max(float(np.hypot(view.sensor_std_m, first.sensor_std_m)), 1e-6)
     std_rad = max(float(np.hypot(view.sensor_std_rad, first.sensor_std_rad)), 1e-6)

@@ -32,15 +32,12 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.probability.null_evidence import NullEvidence
-from tactile_loc.locate.probability.probabilities import FusedScaling, Scalings, TemperatureScaling
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.verdict import MOSTLY_ELSEWHERE, Verdict, judge
+from tactile_loc.locate.result.verdict import MOSTLY_ELSEWHERE, Outcome, Verdict, judge
 
 Float64 = NDArray[np.float64]
 
-LEAST_REPORTED = 0.05  # least probability of an object whose poses' probabilities are fitted and reported
-# The medians of 60 fits of temperatures and 82 fits of the tempering, to various objects and sensors.
-TYPICAL = Scalings(TemperatureScaling(0.021, 0.4, (-6.4, 7.8)), FusedScaling(0.4, (-2.0, 2.3)))
+LEAST_REPORTED = 0.05  # least probability of an object whose poses are reported
 # If there are several touches, each is also located separately in ALONE objects. No further object is tried for a touch
 # with a misfit below EXPLAINED nats.
 ALONE, EXPLAINED = 2, 0.2
@@ -52,16 +49,14 @@ class KnownObject:
 
     `probability`, 0 to 1, is the probability that this object was touched. `misfit`, nats, is the evidence that the
     best pose lacks to explain the touches fully; infinite without a pose. `found` is the result of locating the object;
-    None if no pose explains the touches. If the object is improbable, `fitted` is False: the probabilities of the poses
-    in `found` come from TYPICAL scalings, not from a fit to this object. They are rough, and files leave them out.
-    `apart` (N,), nats, are the least misfits of each touch over all poses in `found`.
+    None if no pose explains the touches. `apart` (N,), nats, are the least misfits of each touch over all poses in
+    `found`.
     """
 
     name: str
     probability: float
     misfit: float = math.inf
     found: Localization | None = None
-    fitted: bool = False
     apart: tuple[float, ...] = ()
 
 
@@ -93,19 +88,17 @@ class Identification:
         first = self.objects[0]
         if first.found is None or self.none > MOSTLY_ELSEWHERE:
             return Verdict.NOT_FOUND
-        best = first.found.best
-        iou = best.imprint_iou if best.is_refined else math.nan
-        return judge(first.probability, iou, depths_known=first.found.depths_known)
+        outcome = Outcome(first.probability, max(0.0, 1 - first.probability - self.none), self.none)
+        return judge(outcome, sure=first.found.depths_known, poor=bool(first.found.poor_touches))
 
 
 def identify(touches: Sequence[Touch], models: Sequence[Localizer], null: NullEvidence | None = None) -> Identification:
     """Return the probability that each of the models' objects was touched, and the probability of "none of these".
 
     If there are several touches, each needs `T_base_sensor` (4, 4), metres. Every object is located, which takes about
-    a second for each. The probabilities of poses are fitted only to objects with a probability of at least
-    LEAST_REPORTED. "None of these" is weighed by `null`: see `NullEvidence`. The order of the models does not matter.
-    Raises TactileLocError for touches of another sensor, several touches without sensor poses, models that share a
-    name, or no models.
+    a second for each. "None of these" is weighed by `null`: see `NullEvidence`. The order of the models does not
+    matter. Raises TactileLocError for touches of another sensor, several touches without sensor poses, models that
+    share a name, or no models.
     """
     models = _sort_models(models)
     if not touches:
@@ -120,14 +113,7 @@ def identify(touches: Sequence[Touch], models: Sequence[Localizer], null: NullEv
             known.append(one)
             advance(1)
     null, floors = null or NullEvidence(), find_floors(touches, list(zip(models, known, strict=True)))
-    while True:
-        p, none = null.probabilities(np.array([one.misfit for one in known]), floors)
-        rough = [k for k, one in enumerate(known) if one.found is not None and not one.fitted]
-        probable = [k for k in rough if p[k] >= LEAST_REPORTED]
-        if not probable:
-            break
-        for k in probable:
-            known[k] = _locate(models[k], touches, fitted=True)
+    p, none = null.probabilities(np.array([one.misfit for one in known]), floors)
     objects = [replace(one, probability=float(share)) for one, share in zip(known, p, strict=True)]
     tied = group_ties(np.log(np.maximum(p, 1e-300)), TIE_NATS)  # equally probable objects by name, which never varies
     order = sorted(range(len(objects)), key=lambda k: (tied[k], objects[k].name))
@@ -148,11 +134,9 @@ def _sort_models(models: Sequence[Localizer]) -> list[Localizer]:
     return ordered
 
 
-def _locate(model: Localizer, touches: Sequence[Touch], fitted: bool = False) -> KnownObject:
-    """Locate an object with TYPICAL scalings or, if `fitted`, with its own."""
-    fitted = fitted or model.config.temperature is not None  # a given temperature needs no fit
+def _locate(model: Localizer, touches: Sequence[Touch]) -> KnownObject:
     try:
-        found = localize_together([(model, touch) for touch in touches], scalings=None if fitted else TYPICAL)
+        found = localize_together([(model, touch) for touch in touches])
     except StoreError:
         raise
     except TactileLocError:
@@ -161,7 +145,7 @@ def _locate(model: Localizer, touches: Sequence[Touch], fitted: bool = False) ->
     order = [*found.touches, *found.left_out]
     apart = lacks.min(axis=0)[[order.index(touch) for touch in touches]]
     misfit = max(0.0, float(lacks.sum(axis=1).min()))
-    return KnownObject(model.object.name, 0.0, misfit, found, fitted, tuple(apart.tolist()))
+    return KnownObject(model.object.name, 0.0, misfit, found, tuple(apart.tolist()))
 
 
 def find_floors(touches: Sequence[Touch], located: Sequence[tuple[Localizer, KnownObject]]) -> Float64:

@@ -11,12 +11,11 @@ from typing import Any, Self, cast
 import numpy as np
 
 from tactile_loc.bases.common_poses import require_sensor_poses
-from tactile_loc.bases.exact_matcher import ExactMatcher
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.places.places import Places
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
-from tactile_loc.core.poses.posterior import PosePosterior, require_pose_left
+from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior, require_pose_left
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.runtime.compiled import use_one_blas_thread
@@ -28,17 +27,13 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.touches import read_touch
-from tactile_loc.locate.method import Coverage, LocatingMethod, Query, Refinement
+from tactile_loc.locate.method import LocatingMethod, Query, Refinement
 from tactile_loc.locate.outliers import localize_agreeing, require_within_reach
-from tactile_loc.locate.pipeline import locate_most_probable
-from tactile_loc.locate.probability.conformal import ConformalSets
-from tactile_loc.locate.probability.conformal_fit import ConformalFit
-from tactile_loc.locate.probability.fitted_probabilities import FittedProbabilities
-from tactile_loc.locate.probability.probabilities import Scalings, TemperatureScaling
+from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.result.hypothesis import JudgedHypothesis
 from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.sources.listed_grid import ListedSource, ObjectPoseModel
-from tactile_loc.locate.sources.scoring import NewMatcher
 from tactile_loc.locate.sources.source import FindPlaces, PoseSource, Scored, SourceSetup
 from tactile_loc.locate.sources.whole_object import WholeObjectSource
 from tactile_loc.locate.stored_object import load_stored_object
@@ -172,17 +167,13 @@ class Localizer:
     @cached_property
     def source(self) -> PoseSource:
         """The source of candidate poses: a listed grid, or a search of the whole object."""
-        return self._make_source(lambda: self._create("matcher"))
-
-    def _make_source(self, new_matcher: NewMatcher) -> PoseSource:
         kind = WholeObjectSource if self.sampler.capabilities.places else ListedSource
-        return kind(self._setup, new_matcher)
+        return kind(self._setup, lambda: self._create("matcher"))
 
     @property
     def loaded_bytes(self) -> int:
         """The memory, bytes, of the places and banks of a search of the whole object."""
-        kept = [self.__dict__.get("source"), getattr(self.__dict__.get("probabilities"), "source", None)]
-        return sum({id(source): source.nbytes for source in kept if source is not None}.values())
+        return self.source.nbytes if "source" in self.__dict__ else 0
 
     @property
     def listed(self) -> ListedSource:
@@ -204,18 +195,6 @@ class Localizer:
     def coarse_scene(self) -> Scene:
         """The scene with the few pixels of a listed grid's contact shapes, at full press."""
         return self._setup.coarse_scene
-
-    @cached_property
-    def probabilities(self) -> FittedProbabilities:
-        """The fitted probabilities: temperatures, each fitted at first use and stored."""
-        exact = self._create("matcher").capabilities.top_k_only
-        source = self._make_source(ExactMatcher) if exact else self.source
-        return FittedProbabilities(source, self.fuser)
-
-    @cached_property
-    def conformal_sets(self) -> ConformalSets:
-        """The conformal sets for a coverage, fitted at first use and stored: see `PoseSet`."""
-        return ConformalFit(make_method([self])).load()
 
     @property
     def mode_radius_m(self) -> float:
@@ -264,24 +243,20 @@ class Localizer:
     ) -> list[PosePosterior]:
         """Return each touch's own posterior over the grid's poses, before fusion. Adds stage durations to `times`.
 
-        A `prior` only guides the search of a whole object. `scaling` is used instead of the fitted one. Raises
+        A `prior` only guides the search of a whole object. `scaling` is used instead of the source's. Raises
         TouchError for a touch of another sensor.
         """
         for touch in touches:
             self.require_own(touch)
-        scaling = scaling or self.probabilities.temperature_scaling
+        scaling = scaling or self.source.temperature_scaling
         scored = self.source.score(touches, times or StageTimes(), prior)
         return [scaling.posterior(grid, scores) for grid, scores in scored]
 
     @use_one_blas_thread()
     def find_most_probable_pose(self, touch: Touch) -> JudgedHypothesis:
-        """Return the most probable pose of the grid, refined, with its probability, verdict and covariance.
-
-        This is the fastest way to locate a touch, for instance in a control loop. Only one pose is refined. So the
-        probability is that of the grid poses near it, before refinement. `localize` also compares other poses after
-        refinement, and may find a better one.
-        """
-        return locate_most_probable(make_query([(self, touch)]), make_method([self]))
+        """Return the most probable pose, refined, with its probability, verdict and covariance: see `localize`."""
+        found = self.localize(touch, top=1)
+        return JudgedHypothesis(**vars(found.best), verdict=found.verdict)
 
     @use_one_blas_thread()
     def refine(self, touch: Touch, posterior: PosePosterior, indices: Sequence[int]) -> list[RefinedPose]:
@@ -307,7 +282,6 @@ def localize_together(
     prior: Prior | None = None,
     top: int | None = None,
     coverage: float | None = None,
-    scalings: Scalings | None = None,
     starts: Poses | None = None,
 ) -> Localization:
     """Return the posterior over poses given touches of one object, and its `top` distinct hypotheses, refined.
@@ -315,9 +289,8 @@ def localize_together(
     Each touch comes with the localizer of its object and its sensor; sensors may differ. If there are several touches,
     each needs `T_base_sensor` (4, 4), metres. Poses are in the first touch's sensor frame, and the posterior is over
     the first localizer's grid. `prior` maps poses (N, 4, 4) of this grid to log-weights (N,). `coverage` is as for
-    `Localizer.localize`. With `scalings`, nothing is fitted to the object: its probabilities are then rough, and the
-    setting `coverage` has no effect. The poses `starts` (K, 4, 4), metres, in the first touch's sensor frame, are
-    refined and compared in any case. Raises TactileLocError if no pose fits all touches.
+    `Localizer.localize`. The poses `starts` (K, 4, 4), metres, in the first touch's sensor frame, are refined and
+    compared in any case. Raises TactileLocError if no pose fits all touches.
 
     `Localization.outliers` are the touches that contradict the others. If the first localizer's configuration sets
     `drop_outliers`, the other touches are located again without the outliers. The outliers are then in
@@ -325,7 +298,7 @@ def localize_together(
     """
     query = replace(make_query(observations, prior, top), starts=starts)
     require_within_reach(query.touches, observations[0][0].object)
-    return _answer(query, observations, None, coverage, scalings)
+    return _answer(query, observations, None, coverage)
 
 
 def compute_posterior_together(
@@ -341,16 +314,19 @@ def compute_posterior_together(
 
 
 def _answer(
-    query: Query,
-    observations: Sequence[Observation],
-    scored: Scored | None = None,
-    coverage: float | None = None,
-    scalings: Scalings | None = None,
+    query: Query, observations: Sequence[Observation], scored: Scored | None = None, coverage: float | None = None
 ) -> Localization:
-    """Locate the touches of a query by the localizers of its observations. Raises GridError if no pose fits."""
-    query = replace(query, coverage=_choose_coverage(observations, coverage, scalings))
-    method = make_method([localizer for localizer, _ in observations], scalings)
-    return require_pose_left(localize_agreeing(query, method, scored))
+    """Locate the touches of a query by the localizers of its observations. Raises GridError if no pose fits.
+
+    If the poses that a prior favours do not fit, the touches are also located without it, to see if it is wrong.
+    """
+    query = replace(query, coverage=_choose_coverage(observations, coverage))
+    method = make_method([localizer for localizer, _ in observations])
+    found = require_pose_left(localize_agreeing(query, method, scored))
+    if query.prior is None or found.verdict in (Verdict.CERTAIN, Verdict.AMBIGUOUS):
+        return found
+    alone = localize_agreeing(replace(query, prior=None, coverage=None), method)
+    return found if isinstance(alone, NoPoseLeft) else found.compare_without_prior(alone)
 
 
 def make_query(
@@ -374,32 +350,24 @@ def make_query(
     return Query(views, prior, top, times=times or StageTimes())
 
 
-def make_method(localizers: Sequence[Localizer], scalings: Scalings | None = None) -> LocatingMethod:
-    """Return the components that locate touches, one of each localizer. Without `scalings`, they are fitted."""
+def make_method(localizers: Sequence[Localizer]) -> LocatingMethod:
+    """Return the components that locate touches, one of each localizer."""
     first, sources = localizers[0], [localizer.source for localizer in localizers]
-    fitted = [scalings or localizer.probabilities for localizer in localizers]
-    return LocatingMethod(sources, fitted, first.fuser, first.refinement, first.config)
+    return LocatingMethod(sources, first.fuser, first.refinement, first.config)
 
 
-def _choose_coverage(
-    observations: Sequence[Observation], asked: float | None, scalings: Scalings | None
-) -> Coverage | None:
-    """Return the requested coverage, or that of the first localizer's settings, with its fitted sets.
+def _choose_coverage(observations: Sequence[Observation], asked: float | None) -> float | None:
+    """Return the requested coverage, 0 to 1, or that of the first localizer's settings.
 
     Raises ConfigError if a coverage cannot be promised.
     """
-    first, _ = observations[0]
-    if scalings is not None:
-        if asked is not None:
-            raise ConfigError(f"no `coverage` of {asked:g} can be promised without a fit; leave out `scalings`")
-        return None
-    probability = first.config.coverage if asked is None else asked
+    probability = observations[0][0].config.coverage if asked is None else asked
     if probability is None:
         return None
     masks = [touch.name for _, touch in observations if not touch.has_depths]
     if masks:
         raise ConfigError(f"no `coverage` can be promised for {masks[0]}, which is a contact mask; leave it out")
-    return Coverage(probability, first.conformal_sets)
+    return probability
 
 
 def _require_one_object(observations: Sequence[Observation]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.scene import View, view_touch
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.probability.conformal import LISTED, ConformalSets
-from tactile_loc.locate.probability.probabilities import AnyScalings
+from tactile_loc.locate.probability.conformal import LISTED
+from tactile_loc.locate.probability.temperature import SHARED
 from tactile_loc.locate.result.hypothesis import Hypothesis
 from tactile_loc.locate.sources.source import PoseSource, Scored
 from tactile_loc.slots.fuser import Fuser
@@ -29,26 +29,19 @@ from tactile_loc.slots.refiner import Refiner
 REFINED_WITH_PRIOR = 12  # of the likeliest modes are also refined with the prior
 
 
-class Coverage(NamedTuple):
-    """A requested probability, 0 to 1, that the listed poses contain the true pose, and the sets that promise it."""
-
-    probability: float
-    sets: ConformalSets
-
-
 @dataclass(frozen=True, eq=False)
 class Query:
     """Touches of one object to locate together, each in a view, and what is asked about them.
 
-    Poses are in the first touch's sensor frame. The `prior` is over these poses. At least `top` hypotheses are refined,
-    and `top` are listed, or as many as the `coverage` needs. The poses `starts` (K, 4, 4), metres, are refined in any
-    case. The duration of each stage is added to `times`.
+    Poses are in the first touch's sensor frame. The `prior` is over these poses. At least `top` hypotheses are
+    refined, and `top` are listed, or as many as contain the true pose with the probability `coverage`. The poses
+    `starts` (K, 4, 4), metres, are refined in any case. The duration of each stage is added to `times`.
     """
 
     views: Sequence[View]
     prior: Prior | None = None
     top: int = 1
-    coverage: Coverage | None = None
+    coverage: float | None = None
     starts: Poses | None = None
     times: StageTimes = field(default_factory=StageTimes)
 
@@ -159,12 +152,11 @@ class Refinement:
 class LocatingMethod:
     """The components that locate the touches of a query.
 
-    `sources` and `scalings` are those of each touch's localizer. The other components, and the options of `config`, are
+    `sources` are those of each touch's localizer. The other components, and the options of `config`, are
     those of the first touch's localizer.
     """
 
     sources: Sequence[PoseSource]
-    scalings: Sequence[AnyScalings]
     fuser: Fuser
     refinement: Refinement
     config: RunConfig
@@ -182,32 +174,39 @@ class LocatingMethod:
     def leave_out(self, outliers: Collection[int]) -> LocatingMethod:
         """Return the method for a query without some touches."""
         left = [k for k in range(len(self.sources)) if k not in outliers]
-        return replace(self, sources=[self.sources[k] for k in left], scalings=[self.scalings[k] for k in left])
+        return replace(self, sources=[self.sources[k] for k in left])
 
     def temper_prior(self, query: Query) -> Prior | None:
         """Return the prior, tempered for all touches, because an earlier posterior was tempered only for its own."""
         told = count_touches(query.prior)
         if query.prior is None or not told:
             return query.prior
-        power = self.scalings[0].fused_scaling.power
+        power = self.compute_power
         return temper(query.prior, lambda count: power(len(query.views) + told) / power(count))
 
     def search(self, query: Query) -> Scored:
         """Return each touch's own posterior, from the source."""
-        return self.source.search(query.views, self.sources, self.scalings, query.times, query.prior)
+        return self.source.search(query.views, self.sources, query.times, query.prior)
 
     def fuse(self, scored: Scored, query: Query) -> PosePosterior | NoPoseLeft:
         """Fuse the touches' posteriors, each tempered for the number of touches, and the prior."""
         count = len(scored.alone) + count_touches(query.prior)
-        powers = [scaling.fused_scaling.power(count) if count > 1 else 1.0 for scaling in self.scalings]
+        power = self.compute_power(count)
         T_base_sensor = [touch.T_base_sensor for touch in query.touches]
         with query.times.stage("fuse"):
-            each = [posterior.temper(power) for posterior, power in zip(scored.alone, powers, strict=True)]
+            each = [posterior.temper(power) for posterior in scored.alone]
             fused = self.fuser.fuse(each, T_base_sensor, self.temper_prior(query))
         if isinstance(fused, NoPoseLeft):
             outlier = self._find_excluding(scored.alone, T_base_sensor)
             return replace(fused.name_touch([touch.name for touch in query.touches]), outlier=outlier)
-        return replace(fused, touches=count, elsewhere=max(posterior.elsewhere for posterior in scored.alone))
+        return replace(fused, touches=count)
+
+    def compute_power(self, touches: int) -> float:
+        """Return the power to which the posterior of each of several touches is raised: see `SHARED`.
+
+        With the user's temperature, posteriors are multiplied as they are.
+        """
+        return 1.0 if self.config.temperature is not None else float(max(1, touches) ** -SHARED)
 
     def _find_excluding(self, alone: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]) -> int | None:
         """Return the number of the only touch without which the other touches, at least two, share a pose."""

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.posterior import Mode, NoPoseLeft, PosePosterior, require_pose_left
+from tactile_loc.core.poses.posterior import Mode, NoPoseLeft, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.prior_factors import fit_prior_factors
-from tactile_loc.locate.hypotheses import compare, count_touches_with_depths, merge_hypotheses, weigh
+from tactile_loc.locate.hypotheses import compare, count_touches_with_depths, merge_hypotheses, turn_half_steps, weigh
 from tactile_loc.locate.method import LocatingMethod, Query
-from tactile_loc.locate.probability.conformal import PoseSet, rank
-from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis, JudgedHypothesis
+from tactile_loc.locate.probability.conformal import PoseSet, Ranking
+from tactile_loc.locate.probability.evidence import Asked, gather_evidence
+from tactile_loc.locate.probability.outcome import load_outcome_model, spread_outcome
+from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.verdict import judge
 from tactile_loc.locate.sources.source import Scored
 
 UNEXPECTED = 15.0  # nats below the peak of a prior beyond which a pose contradicts the prior; 5.5 standard deviations
@@ -61,42 +61,41 @@ def weigh_modes(
     with query.times.stage("refine"):
         refined = method.refinement.refine_modes(trusted, modes, prior)
     with query.times.stage("choose"):
-        compared = compare(query.views, refined, outliers)
-        weighed = weigh(compared, count_touches_with_depths(trusted), metric, prior)
-        return merge_hypotheses(weighed, metric, method.source.setup.merge_radius_m)
+        compared, count = compare(query.views, refined, outliers), count_touches_with_depths(trusted)
+        weighed = weigh(compared, count, metric, prior)
+        if turned := turn_half_steps(weighed[0], metric):
+            weighed = weigh([*weighed, *compare(query.views, turned, outliers)], count, metric, prior)
+        return merge_hypotheses(weighed, metric, method.source.setup.merge_radius_m, method.config.tolerance)
 
 
 def conclude(query: Query, method: LocatingMethod, solution: Solution) -> Localization:
-    """Make the result: choose the hypotheses to list, and add their covariances."""
+    """Make the result: judge the first hypothesis, choose the hypotheses to list, and add their covariances."""
     touch, *others = query.touches
-    hypotheses, agreement, pose_set = solution.hypotheses, solution.agreement, None
-    if query.coverage is not None:
-        probability, sets = query.coverage
-        pose_set = PoseSet.of(rank(hypotheses, len(query.views)), sets, probability, agreement.contradictory)
+    scene, prior, agreement = method.source.setup.scene, method.temper_prior(query), solution.agreement
+    trusted = [view for number, view in enumerate(query.views) if number not in agreement.outliers]
     with query.times.stage("choose"):
+        first = method.refinement.add_covariances(query.views, solution.hypotheses[:1])
+        known = (*first, *solution.hypotheses[1:])
+        asked = Asked(scene.object, method.config.tolerance, prior, agreement.contradictory)
+        evidence = gather_evidence(trusted, known, asked)
+        outcome = load_outcome_model().predict(evidence)
+        hypotheses, missed = spread_outcome(known, evidence.near, outcome)
+        pose_set = None if query.coverage is None else choose_set(hypotheses, missed, query.coverage, agreement)
         kept = hypotheses[: query.top if pose_set is None else pose_set.poses]
         listed = method.refinement.add_covariances(query.views, kept)
     placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
-    middle_m, prior = method.source.setup.scene.object.mesh.centroid_m, method.temper_prior(query)
-    found = Localization(touch, solution.posterior, placed, query.times.seconds, tuple(others), pose_set, agreement)
-    unexpected = is_unexpected(prior, hypotheses[0].T_sensor_object, middle_m)
-    return replace(found, config=method.config, unlisted=hypotheses[len(placed) :], unexpected=unexpected)
+    posterior = replace(solution.posterior, elsewhere=missed if method.source.may_miss else 0.0)
+    found = Localization(touch, posterior, placed, query.times.seconds, tuple(others), pose_set, agreement)
+    unexpected = is_unexpected(prior, hypotheses[0].T_sensor_object, scene.object.mesh.centroid_m)
+    found = replace(found, config=method.config, unlisted=hypotheses[len(placed) :], unexpected=unexpected)
+    return replace(found, evidence=evidence, outcome=outcome)
 
 
-def locate_most_probable(query: Query, method: LocatingMethod) -> JudgedHypothesis:
-    """Return the most probable pose of one touch, refined, with its own verdict: see `Localizer`."""
-    (view,), radius_m = query.views, method.source.setup.mode_radius_m
-    posterior = require_pose_left(method.fuse(method.search(query), query))
-    index = posterior.find_likeliest()
-    T, near = posterior.grid.T_sensor_object[index], posterior.grid.find_within(radius_m, index)
-    (pose,) = method.refinement.refine([view], [Candidate(T, index, float(posterior.log_p[index]))])
-    iou = view.imprint_ious(pose.T_sensor_object[None])[0] if pose.imprint_iou is None else pose.imprint_iou
-    probability = float(posterior.probabilities[near].sum())
-    ious = (float(iou),)
-    one = Hypothesis(probability, T, pose, index, len(near), ious[0], ious, view.touch.T_base_sensor)
-    (known,) = method.refinement.add_covariances([view], [one])
-    verdict = judge(known.probability, known.imprint_iou, posterior.elsewhere, depths_known=view.touch.has_depths)
-    return JudgedHypothesis(**vars(known), verdict=verdict)
+def choose_set(hypotheses: Sequence[Hypothesis], missed: float, coverage: float, agreement: Agreement) -> PoseSet:
+    """Return the set of hypotheses that contains the true pose with the probability `coverage`, 0 to 1."""
+    ranking = Ranking.of([h.probability for h in hypotheses], missed)
+    doubt = "The touches contradict each other, and the examples do not." if agreement.contradictory else ""
+    return PoseSet.of(ranking, load_outcome_model().scores, coverage, doubt)
 
 
 def is_unexpected(prior: Prior | None, T: Poses, middle_m: NDArray[np.float64]) -> bool:

@@ -148,7 +148,7 @@ def _localize_batch(
     for path in files:
         if path in found:
             one = found[path]
-            yield LocatedFile(path, one.best, "", one.verdict, one.state_within()), one
+            yield LocatedFile(path, one.best, "", one.verdict, None if one.outcome is None else one.outcome.right), one
         else:
             yield failed[path], None
 

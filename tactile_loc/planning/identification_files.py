@@ -37,9 +37,7 @@ OBJECT: Keys = {
 }
 
 POSE: Keys = {
-    "probability": Key(
-        "number or null", "of this pose, given this object, 0 to 1; null: the object is too improbable to compute it"
-    ),
+    "probability": Key("number", "of this pose, given this object, 0 to 1"),
     "T_sensor_object": Key("4 x 4 numbers", "m, in the first touch's sensor frame"),
     "imprint_iou": Key("number", "how well it explains the touches, 0 to 1"),
 }
@@ -62,7 +60,7 @@ def write_identification(
 
 def _write_object(one: KnownObject) -> dict[str, Any]:
     hypotheses = one.found.hypotheses if one.found else ()
-    poses = [write_keys(POSE, h, probability=h.probability if one.fitted else None) for h in hypotheses]
+    poses = [write_keys(POSE, h) for h in hypotheses]
     return write_keys(OBJECT, one, misfit_nats=one.misfit, poses=poses)
 
 

@@ -19,7 +19,6 @@ from tactile_loc.io.toml import format_toml
 from tactile_loc.locate.result.doubts import list_doubts
 from tactile_loc.locate.result.hypothesis import Hypothesis
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.verdict import Verdict, explain_verdict
 from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section
@@ -101,7 +100,7 @@ def _describe_candidates(found: Localization) -> list[dict[str, Any]]:
 
 
 def _pair_errors(found: Localization) -> Iterator[tuple[Hypothesis, float | None]]:
-    """Yield the hypotheses, each with its surface distance to the true pose, metres, or None."""
+    """Yield the hypotheses, each with its pose error, metres, or None."""
     errors = found.assessment.errors
     yield from zip_longest(found.hypotheses, () if errors is None else errors.of_hypotheses_m)
 
@@ -123,10 +122,8 @@ def _list_numbers(found: Localization) -> Iterator[tuple[str, str, str]]:
     if best.T_base_object is not None:
         x, y, z, angle_deg, axis = format_pose(best.T_base_object)
         yield "in the base frame", f"{x}, {y}, {z} mm", f"x, y, z, rotated {angle_deg}° about {axis}"
-    meaning = "; ".join(filter(None, (explain_verdict(found.verdict), found.describe_within())))
+    meaning = "; ".join(filter(None, (found.explain(), found.describe_within())))
     yield "verdict", found.verdict.value, meaning
-    if found.verdict is Verdict.AMBIGUOUS and str(found.freedom):
-        yield "open", "", str(found.freedom)
     if found.assessment.next_step:
         yield "next step", "", found.assessment.next_step
     yield "normalised entropy", f"{found.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
@@ -135,10 +132,10 @@ def _list_numbers(found: Localization) -> Iterator[tuple[str, str, str]]:
     explains = "how well the best pose explains the touch, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
     probability = format_percent(best.probability)
-    yield "probability", probability, f"of the best candidate; sum over {best.grid_poses} grid poses"
+    yield "probability", probability, "of the best pose"
     if (errors := found.assessment.errors) is not None:
-        closest = f"RMS surface distance; of the nearest grid pose: {format_millimetres(errors.closest_in_grid_m)}"
-        yield "error", format_millimetres(errors.best_m), closest
+        closest = f"largest displacement; of the nearest grid pose: {format_millimetres(errors.closest_in_grid_m)}"
+        yield "pose error", format_millimetres(errors.best_m), closest
 
 
 def _list_rows(found: Localization) -> list[list[str]]:

@@ -19,6 +19,8 @@ class Capabilities:
     - `top_k_only`: the matcher scores only some poses, and gives -inf to the others.
     - `weights`: the matcher takes weights of queries.
     - `needs_training`: the encoder must be trained with `fit`.
+    - `temperature`: the temperature and the tail that turn the encoder's scores into probabilities (see
+      `TemperatureScaling`); if None, they are fitted to each object.
     - `refines`: the refiner moves poses.
     - `covariances`: the refiner estimates covariances.
     - `contact_only`: the fuser uses only which poses touch a sensor, not their probabilities.
@@ -31,6 +33,7 @@ class Capabilities:
     top_k_only: bool = False
     weights: bool = True
     needs_training: bool = False
+    temperature: tuple[float, float] | None = None
     refines: bool = True
     contact_only: bool = False
     places: bool = False

@@ -29,8 +29,6 @@ MEANINGS = {  # what a stage makes, for messages
     "encoder": "training of the encoder",
     "bank": "encoded contact shapes",
     "temperature": "fit of the probabilities",
-    "fused-temperature": "fit of the probabilities of several touches",
-    "conformal": "fit of the calibrated sets",
     "evaluation": "evaluated touches",
     "contact-evaluation": "evaluated sets of touches",
     "recall-evaluation": "evaluated examples",

@@ -6,7 +6,8 @@ import inspect
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from typing import Any
+from dataclasses import is_dataclass
+from typing import Any, get_type_hints
 
 from tactile_loc.slots.registry import CommandSpec, Offer, import_target
 from tactile_loc.testing.contract import check, require
@@ -81,13 +82,19 @@ def list_functions(spec: CommandSpec) -> dict[str, Callable[..., Any]]:
 
 
 def _list_declared(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the name and typer's declaration of each parameter, None if it has none.
+    """Yield the name and typer's declaration of each option, None if it has none.
 
-    A parameter that stands for shared options has a declaration of another kind, and is left out.
+    The options are the parameters, and the fields of a dataclass that is a parameter. A parameter that stands for
+    shared options has a declaration of another kind, and is left out.
     """
     from typer.models import ParameterInfo
 
-    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
-        extras = getattr(parameter.annotation, "__metadata__", ())
+    hints = {name: one.annotation for name, one in inspect.signature(function, eval_str=True).parameters.items()}
+    for name, kind in list(hints.items()):
+        if is_dataclass(kind):
+            del hints[name]
+            hints |= get_type_hints(kind, include_extras=True)
+    for name, hint in hints.items():
+        extras = getattr(hint, "__metadata__", ())
         if not extras or any(isinstance(extra, ParameterInfo) for extra in extras):
             yield name, next((extra for extra in extras if isinstance(extra, ParameterInfo)), None)

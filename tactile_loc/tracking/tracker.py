@@ -25,7 +25,7 @@ from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch, require_depths
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.freedom import AS_WELL, find_as_well
-from tactile_loc.locate.result.verdict import LEAST_IOU, Verdict
+from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.tracking.key_search import KeySearch, Searched
 from tactile_loc.tracking.key_touches import measure_motion_m
 from tactile_loc.tracking.track_modes import ModeFilter, TrackMode
@@ -33,6 +33,7 @@ from tactile_loc.tracking.tracked_pose import TrackedPose, TrackTrust
 
 Floats = NDArray[np.float64]
 
+FITTED_IOU = 0.5  # usual imprint IoU below which a track has never fitted
 MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; then the whole object is searched
 MOST_LOST = 10  # consecutive such touches, after which a search replaces the track even if it is unsure itself
 LEAST_EXPECTED = 3  # touches where a track expected them, after which it can show a slip
@@ -154,7 +155,7 @@ class Tracker:
         doubted = clear and certain and self._trust.doubts(self._modes[0].predicted_iou)
         self._expected += certain and not doubted and self._modes[0].known.surprise < EXPECTED_SURPRISE
         self._doubts = self._doubts + doubted if doubted or not clear else 0
-        fitted = self._trust.usual_iou >= LEAST_IOU  # a track that never fitted is corrected, and shows no slip
+        fitted = self._trust.usual_iou >= FITTED_IOU  # a track that never fitted is corrected, and shows no slip
         moved = clear and certain and self._suspects_slip(doubted) and self._slip(before, touch, alike)
         if clear and not doubted and self._undoubted is not None:
             self._search, self._undoubted = self._undoubted, None  # the doubtful touches were bad

@@ -16,11 +16,11 @@ from cli_helpers import HANGS_S, TINY, assert_one_error, assert_refused, start_p
 BUILD = """
 import signal, sys
 from tactile_loc.locate.sources import listed_grid as model
-from tactile_loc.locate.probability import probabilities
+from tactile_loc.locate.probability import temperature
 from tactile_loc.store.workspace import Workspace
 from tactile_loc_cli.main import main
 
-model.SHARD, probabilities.TOUCHES = 50, 15
+model.SHARD, temperature.TOUCHES = 50, 15
 save, stop = Workspace.save_array, sys.argv.pop(1)
 
 def save_and_stop(self, name, *arguments, **options):

@@ -21,12 +21,12 @@ from tactile_loc_cli.results import _name_side, make_title, say_result
 from typer.testing import CliRunner
 
 from tactile_loc.core.geometry.rigid import rotation_about
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.io.config import TouchConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.result import result_arrays
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.verdict import Verdict, explain_verdict
+from tactile_loc.locate.result.verdict import Outcome, Verdict, explain_verdict
 from tactile_loc.plugins.grids.face import find_resting_normal
 
 ROOT = Path(__file__).parents[2]
@@ -91,8 +91,8 @@ def test_the_header_of_the_table_names_the_touches(result, capsys, paths, shown)
 )
 def test_the_headline_and_the_title_state_a_probability_only_beside_a_trusted_verdict(result, capsys, verdict, stated):
     found = Localization.load(result["folder"])
-    assessed = dataclasses.replace(found.assessment, verdict=Verdict(verdict), probability_within=0.5)
-    found = dataclasses.replace(found, assessed=assessed)
+    assessed = dataclasses.replace(found.assessment, verdict=Verdict(verdict))
+    found = dataclasses.replace(found, assessed=assessed, outcome=Outcome(0.5, 0.3, 0.2))
     say_result(found)
     headline = capsys.readouterr().out.splitlines()[0]
     title = make_title(found)
@@ -110,7 +110,7 @@ def test_an_unmet_requirement_ends_with_its_own_code_and_the_result(cli, result)
     assert done.exit_code == 3
     said = json.loads(done.stdout)
     assert (said["verdict"], said["tolerance"]) == ("ambiguous", "0.0001mm")
-    assert said["probability_within"] is None or said["probability_within"] < 0.9
+    assert 0 < said["probability_within"] < 0.9
     assert said["next_step"]
     assert Path("required/result.json").is_file()
     assert cli("run", *TINY, "--out", "required", "--require", "maybe").exit_code == 2
@@ -134,7 +134,7 @@ def test_run_without_a_touch_locates_a_simulated_one(result):
     assert result["touch"]["path"] is None
     T = np.array(result["hypotheses"][0]["T_sensor_object"])
     T_true = np.array(result["touch"]["T_sensor_object"])
-    distance = PoseMetric(load_object("hook")).symmetric_distance(T[None], T_true[None])[0]
+    distance = measure_pose_errors(load_object("hook"), T[None], T_true)[0]
     assert result["errors"]["best_m"] == pytest.approx(distance)
     assert result["errors"]["best_listed_m"] <= result["errors"]["best_m"]
     assert distance < 3e-3  # the grid's spacing is 8 mm

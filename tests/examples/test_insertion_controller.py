@@ -1,4 +1,4 @@
-"""examples/insertion: decisions, the estimate of the tip, placements and trials, with fake results."""
+"""examples/insertion: decisions, placements and trials, with fake results."""
 
 from __future__ import annotations
 
@@ -10,55 +10,26 @@ import pytest
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'tactile-loc[sim]'")
 
 import controller
-from controller import MOST_GRASPS, MOST_STD_M, NEAR_M, Action, TipEstimate, decide, list_placements, move
-from shapes import PARTS, TIP_Z_M
+from controller import MOST_GRASPS, Action, decide, list_placements, move
+from shapes import PARTS
 from trials import CLEARANCES_MM, MOST_OFF_M, MOST_OFF_RAD, list_trials
 
 from tactile_loc import Verdict
 from tactile_loc.plugin import invert, make_translation, rotation_angle
 
-KNOWN = TipEstimate(std_m=0.5 * MOST_STD_M, near=0.99)
-
 
 @pytest.mark.parametrize(
-    ("verdict", "tip", "grasps", "action"),
+    ("verdict", "grasps", "action"),
     [
-        (Verdict.CERTAIN, KNOWN, 1, Action.INSERT),
-        (Verdict.CERTAIN, KNOWN, MOST_GRASPS, Action.INSERT),
-        (Verdict.AMBIGUOUS, KNOWN, 1, Action.TOUCH),
-        (Verdict.POOR_FIT, KNOWN, 2, Action.TOUCH),
-        (Verdict.NOT_FOUND, KNOWN, MOST_GRASPS, Action.STOP),
-        (Verdict.CERTAIN, TipEstimate(2 * MOST_STD_M, 0.99), 1, Action.TOUCH),
-        (Verdict.CERTAIN, TipEstimate(0.5 * MOST_STD_M, 0.5), 1, Action.TOUCH),
-        (Verdict.CERTAIN, TipEstimate(2 * MOST_STD_M, 0.99), MOST_GRASPS, Action.STOP),
+        (Verdict.CERTAIN, 1, Action.INSERT),
+        (Verdict.CERTAIN, MOST_GRASPS, Action.INSERT),
+        (Verdict.AMBIGUOUS, 1, Action.TOUCH),
+        (Verdict.POOR_FIT, 2, Action.TOUCH),
+        (Verdict.NOT_FOUND, MOST_GRASPS, Action.STOP),
     ],
 )
-def test_the_controller_inserts_only_if_pose_and_tip_are_known(verdict, tip, grasps, action):
-    assert decide(verdict, tip, grasps) is action
-
-
-def fake_result(shifts_m, probabilities, covariance):
-    hypotheses = [
-        SimpleNamespace(T_sensor_object=make_translation(shift), probability=p, covariance=covariance)
-        for shift, p in zip(shifts_m, probabilities, strict=True)
-    ]
-    return SimpleNamespace(hypotheses=hypotheses, best=hypotheses[0])
-
-
-def test_the_tip_moves_with_the_rotation_of_the_part():
-    """A tilt by 1 degree moves the tip by its distance from the origin times 1 degree."""
-    tilt_rad = np.radians(1.0)
-    covariance = np.diag([1e-12] * 3 + [tilt_rad**2, 1e-12, 1e-12])
-    found = TipEstimate.of(fake_result([[0, 0, 0]], [1.0], covariance))
-    assert found.std_m == pytest.approx(-TIP_Z_M * tilt_rad, rel=1e-3)
-    assert found.near == 1.0
-    assert TipEstimate.of(fake_result([[0, 0, 0]], [1.0], None)).std_m == np.inf
-
-
-def test_a_pose_with_another_tip_counts_against_the_first_one():
-    shifts = [[0, 0, 0], [0, 0, 0.5 * NEAR_M], [0, 0, 5 * NEAR_M]]
-    found = TipEstimate.of(fake_result(shifts, [0.4, 0.2, 0.2], 1e-8 * np.eye(6)))
-    assert found.near == pytest.approx(0.75)
+def test_the_controller_inserts_only_if_the_tip_is_known(verdict, grasps, action):
+    assert decide(verdict, grasps) is action
 
 
 @pytest.mark.parametrize("name", PARTS)

@@ -14,6 +14,7 @@ from tactile_loc.core.poses.posterior import TIE_NATS, Mode, PosePosterior
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.locate.hypotheses import (
+    NATS_PER_IOU,
     assign_probabilities,
     choose_best_apart,
     compare,
@@ -23,7 +24,6 @@ from tactile_loc.locate.hypotheses import (
     split_modes,
     weigh,
 )
-from tactile_loc.locate.probability.nearness import NATS_PER_IOU
 from tactile_loc.locate.result.localization import Hypothesis
 from tactile_loc.testing.problems import make_box
 

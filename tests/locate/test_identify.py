@@ -14,13 +14,11 @@ from tactile_loc.core.runtime.errors import ConfigError, ObjectError, StoreError
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate import identify as module
-from tactile_loc.locate.identify import LEAST_REPORTED, Identification, KnownObject, identify, measure_misfits
+from tactile_loc.locate.identify import Identification, KnownObject, identify, measure_misfits
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.probability.null_evidence import NullEvidence
-from tactile_loc.locate.probability.probabilities import FusedScaling, Scalings, TemperatureScaling
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
-from tactile_loc.store.store import StageStore
 
 FEW = {"name": "whole", "directions": 300, "turns": 24}
 
@@ -82,71 +80,9 @@ def test_the_order_of_objects_does_not_matter(models, touches):
 def test_a_single_object_has_the_result_of_a_localisation(models, touches):
     said = identify(touches["plate"], models[:1])
     alone = localize_together([(models[0], touch) for touch in touches["plate"]])
-    assert np.array_equal(said.objects[0].found.best.T_sensor_object, alone.best.T_sensor_object)
-
-
-@pytest.fixture
-def unfitted(models) -> list[Localizer]:
-    """Return localizers without a given temperature, sorted by the names of their objects."""
-    config = models[0].config.model_copy(update={"temperature": None})
-    ordered = sorted(models, key=lambda model: model.object.name)
-    return [Localizer(config, model.object, model.store) for model in ordered]
-
-
-def test_probabilities_are_fitted_only_to_probable_objects(unfitted, touches, monkeypatch):
-    asked: set[str] = set()
-    fitted = Scalings(TemperatureScaling(0.05), FusedScaling())
-    monkeypatch.setattr(Localizer, "probabilities", property(lambda self: asked.add(self.object.name) or fitted))
-    said = identify(touches["ring"], unfitted, null=CLEAN)
-    probable = {one.name for one in said.objects if one.probability >= LEAST_REPORTED}
-    assert asked == probable == {"ring"}
-    assert {one.name for one in said.objects if one.fitted} == probable
-    alone = localize_together([(unfitted[1], touch) for touch in touches["ring"]])
-    assert unfitted[1].object.name == "ring"
-    assert said.objects[0].found.best.probability == alone.best.probability
-    asked.clear()
-    doubtful = dataclasses.replace(CLEAN, prior=0.5)
-    assert identify(touches["ring"], unfitted[:1], null=doubtful).best is None
-    assert asked == set()
-
-
-def test_an_object_that_becomes_probable_by_the_fits_is_fitted_too(unfitted, touches, monkeypatch):
-    asked: list[str] = []
-    fitted, misfits = Scalings(TemperatureScaling(0.05), FusedScaling()), {"ring": 0.0, "plate": 3.0, "rod": 9.0}
-
-    def compare(model: Localizer, _: object) -> np.ndarray:
-        name = model.object.name
-        return np.full((1, 2), (50.0 if name == "ring" and name in asked else misfits[name]) / 2)
-
-    monkeypatch.setattr(Localizer, "probabilities", property(lambda self: asked.append(self.object.name) or fitted))
-    monkeypatch.setattr(module, "measure_misfits", compare)
-    said = identify(touches["ring"], unfitted, null=NullEvidence(gap=5.0, temperature=0.5))
-    assert list(dict.fromkeys(asked)) == ["ring", "plate"]
-    expected = [("plate", 3.0, True), ("rod", 9.0, False), ("ring", 50.0, True)]
-    assert [(one.name, one.misfit, one.fitted) for one in said.objects] == expected
-
-
-@pytest.mark.slow
-def test_the_misfits_hardly_depend_on_the_scalings(models, unfitted, touches):
-    for name, seen in touches.items():
-        for some in (seen, seen[:1]):
-            given, typical = (
-                {one.name: one.misfit for one in identify(some, library, null=NullEvidence(prior=1 - 1e-9)).objects}
-                for library in (models, unfitted)
-            )
-            assert typical[name] == pytest.approx(given[name], abs=0.1)
-            assert min(typical, key=typical.get) == min(given, key=given.get) == name
-
-
-@pytest.mark.slow
-def test_a_probable_object_has_probabilities_fitted_to_it(unfitted, touches, tmp_path):
-    store = StageStore(tmp_path)
-    library = [Localizer(model.config, model.object, store) for model in unfitted]
-    said = identify(touches["ring"], library, null=CLEAN)
-    built = [key.stage for key in store.built]
-    assert (built.count("temperature"), built.count("fused-temperature")) == (1, 1)
-    alone = localize_together([(library[1], touch) for touch in touches["ring"]])
-    assert [h.probability for h in said.objects[0].found.hypotheses] == [h.probability for h in alone.hypotheses]
+    found = said.objects[0].found
+    assert np.array_equal(found.best.T_sensor_object, alone.best.T_sensor_object)
+    assert [h.probability for h in found.hypotheses] == [h.probability for h in alone.hypotheses]
 
 
 def test_a_pose_that_explains_the_whole_touch_has_no_misfit(models, touches):
@@ -162,7 +98,7 @@ def test_a_pose_that_explains_the_whole_touch_has_no_misfit(models, touches):
 
 def test_the_verdict_judges_the_first_object(models, touches):
     found = models[0].localize(touches["plate"][0])
-    poor = dataclasses.replace(found, hypotheses=(dataclasses.replace(found.best, imprint_iou=0.3),))
+    poor = dataclasses.replace(found, assessed=dataclasses.replace(found.assessment, poor_touches=(0,)))
 
     def judge(p: float, none: float, result) -> Verdict:
         return Identification((KnownObject("plate", p, 0.5, result),), none).verdict

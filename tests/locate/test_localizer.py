@@ -18,7 +18,7 @@ from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.verdict import Verdict, judge
+from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.sources import scoring
 from tactile_loc.locate.sources.scoring import FEWEST_MATCHERS
 from tactile_loc.slots.component import Capabilities
@@ -80,7 +80,7 @@ def test_a_sphere_has_one_pose(store, tmp_path):
 def test_a_result_is_sorted_and_complete(pin, touches):
     found = pin.localize(touches[0], top=4)
     assert found.touch is touches[0]
-    assert found.posterior.probabilities.sum() == pytest.approx(1.0)
+    assert found.posterior.probabilities.sum() + found.posterior.elsewhere == pytest.approx(1.0)
     p = [h.probability for h in found.hypotheses]
     assert 1 <= len(p) <= 4
     assert p == sorted(p, reverse=True)
@@ -133,7 +133,7 @@ def test_a_region_prior_keeps_the_poses_in_the_region_and_an_excluding_one_is_re
     excluded = near_wrong(found.posterior.grid.T_sensor_object) == -np.inf
     assert 0 < (~excluded).sum() < 500
     assert not found.posterior.probabilities[excluded].any()
-    assert found.posterior.probabilities.sum() == pytest.approx(1.0)
+    assert found.posterior.probabilities.sum() + found.posterior.elsewhere == pytest.approx(1.0)
     for h in found.hypotheses:
         assert not excluded[h.grid_index]
     with pytest.raises(GridError, match="prior"):
@@ -376,14 +376,10 @@ def test_an_unrefined_pose_has_no_covariance(store):
 
 def test_the_most_probable_pose_has_a_probability_a_verdict_and_a_covariance(pin, touches):
     located = dataclasses.replace(touches[1], T_base_sensor=make_translation([0.3, 0.0, 0.1]))
-    found = pin.find_most_probable_pose(located)
-    posterior = pin.posterior(located)
-    near = posterior.grid.distances(found.T_sensor_object_grid) <= pin.mode_radius_m
-    # some poses of the regular grid lie on the border of the mode, so rounding decides about them
-    assert found.probability == pytest.approx(posterior.probabilities[near].sum(), rel=1e-3)
-    assert found.grid_poses == pytest.approx(near.sum(), abs=4)
+    found, whole = pin.find_most_probable_pose(located), pin.localize(located, top=1)
+    assert found.probability == whole.best.probability
+    assert found.verdict == whole.verdict
     assert found.imprint_iou == pytest.approx(pin.scene.imprint_ious(found.T_sensor_object[None], located)[0])
-    assert found.verdict == judge(found.probability, found.imprint_iou, posterior.elsewhere)
     assert (np.linalg.eigvalsh(found.covariance) > 0).all()
     np.testing.assert_allclose(found.T_base_object[:3, 3] - found.T_sensor_object[:3, 3], [0.3, 0.0, 0.1], atol=1e-12)
 
@@ -396,11 +392,14 @@ def test_the_most_probable_pose_of_a_refiner_without_covariances_has_one(pin, to
 
 
 @pytest.mark.slow
-def test_a_certain_pose_of_a_face_is_right_even_if_the_peak_of_its_mode_ends_at_another_yaw(store):
+def test_a_touch_of_a_turned_face_determines_its_shape_but_not_its_pose(store):
+    """Nearly equal shapes at several yaws explain the touch, and the first one is not the peak of the grid's mode."""
     localizer = Localizer.create("pin", store=store, sensor="gelsight-mini", grid={"name": "face", "face": "+z"})
     touch = localizer.simulate(3, seed=11)[2]
     found = localizer.localize(touch)
     truth = np.asarray(touch.T_sensor_object)
     off_m = measure_surface_distances(localizer.object.mesh, found.best.T_sensor_object[None], truth)
-    assert found.verdict is Verdict.CERTAIN
     assert off_m[0] < 3e-4
+    assert (found.verdict, found.probability_within() < 0.5) == (Verdict.AMBIGUOUS, True)
+    assert found.freedom.turn_rad.any()
+    assert found.probability_within("shape:1mm") > 0.9

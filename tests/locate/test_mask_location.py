@@ -14,7 +14,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.hypotheses import compute_nats
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.verdict import Verdict, judge
+from tactile_loc.locate.result.verdict import Outcome, Verdict
 from tactile_loc.locate.sources.place_search import list_presses, spread_anchors
 
 SENSOR = {"name": "gelsight-mini", "gel": "rigid", "image_size_px": [160, 120]}
@@ -80,9 +80,10 @@ def test_no_coverage_is_promised_for_a_mask_and_an_encoder_trained_on_depths_ref
         trained.localize(examples[0][0])
 
 
-def test_an_outline_is_never_certain():
-    assert judge(0.99, 0.99) is Verdict.CERTAIN
-    assert judge(0.99, 0.99, depths_known=False) is Verdict.AMBIGUOUS
+def test_an_outline_is_never_certain(localizer, examples):
+    found = localizer.localize(examples[0][0])
+    assert not found.depths_known
+    assert replace(found, outcome=Outcome(0.99, 0.01, 0.0)).verdict is not Verdict.CERTAIN
 
 
 def test_a_mask_counts_as_less_than_a_touch(localizer, examples):

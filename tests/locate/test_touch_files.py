@@ -94,8 +94,7 @@ def test_each_file_is_located_or_gets_a_reason(localizer: Localizer, tmp_path):
     place_mm = [float(rows[1][key]) for key in ("x_mm", "y_mm", "z_mm")]
     np.testing.assert_allclose(place_mm, 1e3 * good[1].best.T_sensor_object[:3, 3], atol=1e-3)
     assert set(rows[0]) == set(COLUMNS)
-    known = good[1].state_within()
-    assert rows[1]["probability_within"] == ("" if known is None else f"{known:.4f}")
+    assert rows[1]["probability_within"] == f"{good[1].outcome.right:.4f}"
 
 
 def test_the_error_of_the_mount_adds_to_the_error_of_the_sensor_pose(localizer: Localizer, tmp_path):

@@ -1,4 +1,4 @@
-"""The document of an identification states the probabilities of poses only if they were fitted to the object."""
+"""The document of an identification, its next touch, and the objects that explain the touches as well."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ from tactile_loc.planning.next_touch_files import NEXT_TOUCH, RATED
 from tactile_loc.tracking.pose_modes import PoseModes
 
 
-def test_probabilities_that_were_not_fitted_are_left_out(localization):
-    probable = KnownObject("hook", 0.9, 0.1, localization, fitted=True)
-    others = [replace(probable, name="pin", probability=0.01, fitted=False), KnownObject("nut", 0.0)]
+def test_the_document_states_the_poses_of_each_object_with_their_probabilities(localization):
+    probable = KnownObject("hook", 0.9, 0.1, localization)
+    others = [replace(probable, name="pin", probability=0.01), KnownObject("nut", 0.0)]
     document = write_identification(Identification((probable, *others), 0.09), [localization.touch])
     hook, pin, nut = document["objects"]
-    assert [pose["probability"] for pose in hook["poses"]] == [h.probability for h in localization.hypotheses]
-    assert len(pin["poses"]) == len(hook["poses"])
-    assert {pose["probability"] for pose in pin["poses"]} == {None}
+    for one in (hook, pin):
+        assert [pose["probability"] for pose in one["poses"]] == [h.probability for h in localization.hypotheses]
     assert nut["poses"] == []
     assert (hook["misfit_nats"], nut["misfit_nats"]) == (0.1, None)
     parts = ((IDENTIFICATION, document), (OBJECT, nut), *((POSE, pose) for pose in pin["poses"]))
@@ -37,7 +36,7 @@ def test_probabilities_that_were_not_fitted_are_left_out(localization):
 
 
 def test_the_next_touch_is_written_for_all_probable_objects(localization):
-    hook, pin = (KnownObject(name, p, 0.1, localization, fitted=True) for name, p in (("hook", 0.6), ("pin", 0.3)))
+    hook, pin = (KnownObject(name, p, 0.1, localization) for name, p in (("hook", 0.6), ("pin", 0.3)))
     said = Identification((hook, pin, replace(pin, name="nut", probability=0.04)), 0.06)
     modes = PoseModes.of_objects(said)
     assert modes is not None
@@ -51,8 +50,7 @@ def test_the_next_touch_is_written_for_all_probable_objects(localization):
 
 def test_objects_that_explain_the_touches_as_well_are_named(localization):
     first, second, third = (
-        KnownObject(name, p, 0.1, localization, fitted=True)
-        for name, p in (("hook", 0.42), ("pin", 0.38), ("nut", 0.15))
+        KnownObject(name, p, 0.1, localization) for name, p in (("hook", 0.42), ("pin", 0.38), ("nut", 0.15))
     )
     close, clear = Identification((first, second, third), 0.05), Identification((first, third), 0.05)
     assert list_inseparable(close) == ["hook", "pin"]

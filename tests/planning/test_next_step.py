@@ -15,7 +15,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.result.localization import Hypothesis, Localization
-from tactile_loc.locate.result.verdict import NEXT_STEPS, Verdict
+from tactile_loc.locate.result.verdict import NEXT_STEPS, Outcome, Verdict
 from tactile_loc.planning.next_step import suggest_next_step
 
 GEL = SensorGeometry("orthographic", 80, 60, 8000.0, 8000.0, 40.0, 30.0, 0.01, 1e-3)  # 10 x 7.5 mm
@@ -30,6 +30,7 @@ def plate(make_object) -> ObjectModel:
 
 
 def located(obj: ObjectModel, poses: list[np.ndarray], p: list[float], T_base_sensor=None) -> Localization:
+    """Return a result whose first pose is right with its probability."""
     depth = np.full(GEL.shape, 1e-3, np.float32)
     depth[20:40, 20:60] = 5e-4
     touch = Touch(ContactShape(depth, 1e-3), GEL, T_base_sensor=T_base_sensor)
@@ -38,8 +39,8 @@ def located(obj: ObjectModel, poses: list[np.ndarray], p: list[float], T_base_se
         refined = RefinedPose(T @ make_translation([1e-6, 0, 0]), 1.0, True, 1, 1e-12 * np.eye(6))
         hypotheses.append(Hypothesis(share, T, refined, k, 1, 0.9, T_base_sensor=T_base_sensor))
     posterior = PosePosterior(PoseGrid(np.stack(poses), PoseMetric(obj)), np.log(p))
-    config = RunConfig(tolerance="6deg")  # poses that differ by a half turn have nearly equal surfaces
-    return Localization(touch, posterior, tuple(hypotheses), {}, config=config)
+    outcome = Outcome(p[0], sum(p[1:]), 0.0)
+    return Localization(touch, posterior, tuple(hypotheses), {}, config=RunConfig(), outcome=outcome)
 
 
 @pytest.mark.parametrize("T_base_sensor", [None, make_transform(rotation_about([1, 2, 3], 1.0), [0.3, 0.1, 0.2])])

@@ -87,7 +87,7 @@ def test_a_folder_counts_its_verdicts(localization):
 
 def test_a_next_touch_shows_the_best_approach(localizer, picture):
     geometry, T = localizer.sensor.geometry, np.stack([np.eye(4)] * 2)
-    modes = PoseModes(localizer.object, T, np.array([0.5, 0.5]), geometry, 1e-3)
+    modes = PoseModes((localizer.object,) * 2, T, np.array([0.5, 0.5]), geometry, 1e-3)
     rated = tuple(
         RatedApproach(Approach(np.eye(4), name=f"approach {k}"), 0.9, 0.8, 0.3, 0.8, np.array([0.01, np.nan]), 1.0)
         for k in (1, 2)

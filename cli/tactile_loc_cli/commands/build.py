@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import say
-from tactile_loc_cli.options import RunOptions, declare
+from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
     from tactile_loc.locate.localizer import Localizer
@@ -27,18 +27,9 @@ Given = Annotated[
         press_depth="Press depth in mm for which the model is built. Default: the sensor's maximal depth.",
     ),
 ]
-Several = Annotated[
-    bool,
-    declare("--several", "Also fit the probabilities of several touches, which `run` needs for a list of touches."),
-]
-Coverage = Annotated[
-    bool, declare("--coverage", "Also fit the sets of poses that `run --coverage` lists; it takes about half a minute.")
-]
 
 
-def build(
-    given: Given, several: Several = False, coverage: Coverage = False, store: options.Store = None
-) -> dict[str, Any]:
+def build(given: Given, store: options.Store = None) -> dict[str, Any]:
     """Build an object's model ahead of time.
 
     Without this command, the first `run` builds the model. Stages in the store are reused.
@@ -47,17 +38,13 @@ def build(
     localizer = options.open_localizer(settings, store)
     start = time.perf_counter()
     build_model(localizer, _require_press_depth_m(localizer))
-    if several:
-        _ = localizer.probabilities.fused_scaling  # fits the tempering
-    if coverage:
-        _ = localizer.conformal_sets  # fits the sets
-    return _report(localizer, several, coverage, time.perf_counter() - start)
+    return _report(localizer, time.perf_counter() - start)
 
 
 def build_model(localizer: Localizer, press_depth_m: float) -> None:
     """Build the stages for a touch of this press depth, in metres, or load the stages from the store."""
     localizer.source.prepare(press_depth_m)
-    _ = localizer.probabilities.temperature_scaling  # fits the temperature
+    _ = localizer.source.temperature_scaling  # is fitted for some encoders
 
 
 def _require_press_depth_m(localizer: Localizer) -> float:
@@ -72,11 +59,11 @@ def _require_press_depth_m(localizer: Localizer) -> float:
     return deepest_m if asked_m is None else asked_m
 
 
-def _report(localizer: Localizer, several: bool, coverage: bool, seconds: float) -> dict[str, Any]:
+def _report(localizer: Localizer, seconds: float) -> dict[str, Any]:
     obj, store = localizer.object, localizer.store
     from tactile_loc.store.keys import MEANINGS
 
-    extents_m, stages = obj.mesh.extents_m.tolist(), _list_stages(localizer, several, coverage)
+    extents_m, stages = obj.mesh.extents_m.tolist(), _list_stages(localizer)
     size = " x ".join(f"{1e3 * extent_m:.3g}" for extent_m in extents_m)
     say(f"object: {obj.name}, {size} mm, {len(obj.mesh.faces)} triangles, symmetry {obj.symmetry}")
     grid = _describe_grid(localizer)
@@ -105,12 +92,7 @@ def _describe_grid(localizer: Localizer) -> dict[str, Any]:
     return counted
 
 
-def _list_stages(localizer: Localizer, several: bool, coverage: bool) -> dict[str, str]:
+def _list_stages(localizer: Localizer) -> dict[str, str]:
     """Return "built" or "reused" for each stage."""
     built = [key.stage for key in localizer.store.built]
-    temperatures: tuple[str, ...] = ("temperature", "fused-temperature") if several else ("temperature",)
-    fitted = temperatures if localizer.config.temperature is None else ()
-    model = localizer.source.stages
-    if coverage:
-        fitted = (*fitted, "conformal")
-    return {stage: "built" if stage in built else "reused" for stage in (*model, *fitted)}
+    return {stage: "built" if stage in built else "reused" for stage in localizer.source.stages}

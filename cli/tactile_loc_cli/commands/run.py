@@ -267,13 +267,10 @@ def _write_folder_page(
 
 def _warn_of_doubtful(names: list[str]) -> None:
     """Name the touches whose best pose is probably wrong."""
-    from tactile_loc.locate.result.verdict import LEAST_IOU
-
     if names:
         some = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
         count = format_count(len(names), "touch")
-        message = "the best pose of %s has an imprint IoU below %.0f %% and is probably wrong: %s"
-        logger.warning(message, count, 100 * LEAST_IOU, some)
+        logger.warning("the best pose of %s does not explain it, and is probably wrong: %s", count, some)
 
 
 def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> None:

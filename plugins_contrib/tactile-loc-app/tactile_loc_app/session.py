@@ -233,7 +233,7 @@ class Session:
         return found
 
     def _keep(self, found: Localization, count: int) -> None:
-        judged = Judged(count, str(found.verdict), found.state_within(), len(found.equal_explanations))
+        judged = Judged(count, str(found.verdict), found.probability_within(), len(found.equal_explanations))
         self.result = found
         self.history = (*(one for one in self.history if one.touches < count), judged)
 

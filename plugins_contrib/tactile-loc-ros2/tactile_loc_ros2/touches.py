@@ -145,7 +145,7 @@ class TouchSet:
         located = view_in_base(found)
         T, C = located.T_sensor_object, located.covariance
         reply = Reply.of(
-            frame=self.frame, verdict=found.verdict.value, probability=round_known(found.state_within()),
+            frame=self.frame, verdict=found.verdict.value, probability=round_known(found.probability_within()),
             imprint_iou=round_known(found.best.imprint_iou), touches=len(self), poses=len(found.hypotheses),
             T_frame_object=None if T is None else T.tolist(), covariance=None if C is None else C.tolist(),
             outliers=[touch.name for touch in found.outliers], next_step=suggest_next_step(found),

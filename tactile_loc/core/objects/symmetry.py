@@ -141,6 +141,18 @@ class SymmetryGroup:
         R = self._sample_rotations(max_step_rad)
         return make_transform(R, self.centre_m - R @ self.centre_m)
 
+    def list_half_steps(self) -> NDArray[np.float64]:
+        """Return the turns by half a step of each rotational symmetry, as transforms T_object_object (K, 4, 4), metres.
+
+        A part whose symmetry is broken by one feature, such as the socket of a screw, looks almost the same after them.
+        Half a turn has none.
+        """
+        finite = [term for term in self.terms if 2 < term.order < math.inf]
+        if not finite or self.continuous_axis is not None:
+            return np.empty((0, 4, 4))
+        R = np.stack([rotation_about(term.axis, math.pi / term.order) for term in finite])
+        return make_transform(R, self.centre_m - R @ self.centre_m)
+
     def is_representative(self, R: NDArray[np.float64], step_rad: float | None = None) -> NDArray[np.bool_]:
         """Return which rotations R_sensor_object (N, 3, 3) represent their equivalents {R S : S in group}, as (N,).
 

@@ -90,3 +90,83 @@ def _add_imprints(first, last, made, seen, press, observed, sums):
                     beside += min(abs(mine - other), far)
             least, most, off = least + lower, most + upper, off + beside
         sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3], sums[k, 4] = common, either, least, most, off
+
+
+class Residuals(NamedTuple):
+    """What remains unexplained of a touch by N poses, each (N,).
+
+    `imprint_ious` are as in `Explained`. `missing` and `extra` are the areas of contact that the pose lacks and that it
+    adds, as shares of the touch's contact. `outline_m` is the mean distance of both outlines, metres: these areas
+    divided by the length of the touch's outline. In common contact, `press_m` is the mean difference of depths, metres,
+    `relief_m` the root mean square of what differs beside this mean, and `slope` that of the difference of slopes.
+    """
+
+    imprint_ious: Floats
+    missing: Floats
+    extra: Floats
+    outline_m: Floats
+    press_m: Floats
+    relief_m: Floats
+    slope: Floats
+
+
+def measure_residuals(
+    made_m: Float32, seen_m: Float32, press_depth_m: float, observed: NDArray[np.bool_], pixel_pitch_m: float
+) -> Residuals:
+    """Return what the contact depths (N, H, W), metres, of N poses leave unexplained of a touch's (H, W), metres."""
+    made_m, seen_m = np.ascontiguousarray(made_m, np.float32), np.ascontiguousarray(seen_m, np.float32)
+    observed, sums = np.ascontiguousarray(observed), np.empty((len(made_m), 10))
+    run_in_threads(_add_residuals, len(made_m), made_m, seen_m, np.float32(press_depth_m), observed, sums)
+    common, seen, made, edges, least, most, offset, squared, steps, turned = sums.T
+    seen, mean_m = np.maximum(seen, 1), offset / np.maximum(common, 1)
+    relief_m = np.sqrt(np.maximum(squared / np.maximum(common, 1) - mean_m**2, 0.0))
+    missing, extra = (seen - common) / seen, (made - common) / seen
+    outline_m = pixel_pitch_m * (seen + made - 2 * common) / np.maximum(edges, 1)
+    slope = np.sqrt(turned / np.maximum(steps, 1)) / pixel_pitch_m
+    return Residuals(least / np.maximum(most, 1.0), missing, extra, outline_m, mean_m, relief_m, slope)
+
+
+@njit(fast=True)
+def _add_residuals(first, last, made, seen, press, observed, sums):
+    """Fill `sums` (N, 10) for the contact depths `made` (N, H, W) from first to last, and those of a touch (H, W).
+
+    The sums are: pixels in contact in both, in the touch, and in the pose; sides of pixels on the touch's outline; the
+    smaller of both imprints, and the larger; in common contact the difference of depths, metres, and its square; and
+    the number of steps between neighbours in common contact, and the squares of the differences of steps, m^2.
+    """
+    zero, top, far = np.float32(0), np.float32(1 + OUTLINE_SHARE), np.float32(FAR_OFF_M)
+    scale = np.float32(1) / press
+    height, width = seen.shape
+    for k in range(first, last):
+        common, touched_count, touching_count, edges, steps = 0, 0, 0, 0, 0
+        least, most, offset, squared, turned = 0.0, 0.0, 0.0, 0.0, 0.0
+        for row in range(height):
+            for column in range(width):
+                if not observed[row, column]:
+                    continue
+                mine, other = made[k, row, column], seen[row, column]
+                touches, touched = mine < press, other < press
+                a = top - mine * scale if touches else zero
+                b = top - other * scale if touched else zero
+                least, most = least + min(a, b), most + max(a, b)
+                touched_count += touched
+                touching_count += touches
+                for side in range(2):
+                    i, j = row + side, column + 1 - side
+                    if i < height and j < width and observed[i, j]:
+                        edges += touched != (seen[i, j] < press)
+                if not (touches and touched):
+                    continue
+                common += 1
+                off = max(-far, min(far, mine - other))
+                offset += off
+                squared += off * off
+                for side in range(2):
+                    i, j = row + side, column + 1 - side
+                    if i < height and j < width and observed[i, j] and made[k, i, j] < press and seen[i, j] < press:
+                        step = max(-far, min(far, (made[k, i, j] - mine) - (seen[i, j] - other)))
+                        turned += step * step
+                        steps += 1
+        sums[k, 0], sums[k, 1], sums[k, 2], sums[k, 3] = common, touched_count, touching_count, edges
+        sums[k, 4], sums[k, 5], sums[k, 6], sums[k, 7] = least, most, offset, squared
+        sums[k, 8], sums[k, 9] = steps, turned

@@ -9,18 +9,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.runtime.compiled import njit
 from tactile_loc.core.runtime.turns import pause_before
 
 A_TURN = 15_000  # poses whose neighbours are suppressed in one turn
 
 
-def merge_modes(T_object: Poses, metric: PoseMetric, radius_m: ArrayLike, most: int | None = None) -> NDArray[np.int64]:
+def merge_modes(
+    T_object: Poses,
+    metric: PoseMetric,
+    radius_m: ArrayLike,
+    most: int | None = None,
+    tolerance: Tolerance | None = None,
+) -> NDArray[np.int64]:
     """Return, for each pose (K, 4, 4), metres, the index (K,) of the pose that it merges with.
 
     The poses are sorted, the likeliest first. A pose merges with the likeliest kept pose that is nearer than
     `radius_m`, metres, which is one number or one for each pose (K,). A pose without such a neighbour is kept, and has
-    its own index. At most `most` poses are kept; further poses without a neighbour get -1.
+    its own index. At most `most` poses are kept; further poses without a neighbour get -1. With a `tolerance`, poses
+    that are not within it of each other do not merge.
     """
     radii_m, orbits = np.broadcast_to(radius_m, len(T_object)), metric.embed_orbits(np.asarray(T_object))
     merged = np.full(len(T_object), -1)
@@ -28,6 +36,8 @@ def merge_modes(T_object: Poses, metric: PoseMetric, radius_m: ArrayLike, most: 
     for k in range(len(T_object)):
         distances_m = np.linalg.norm(orbits[:, kept] - orbits[0, k], axis=-1).min(axis=0)
         near = np.flatnonzero(distances_m < radii_m[k])
+        if len(near) and tolerance is not None:
+            near = near[tolerance.find_within(metric.object, T_object[k], T_object[np.array(kept)[near]])]
         if len(near):
             merged[k] = kept[near[0]]
         elif most is None or len(kept) < most:

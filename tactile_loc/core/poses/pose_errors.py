@@ -1,18 +1,22 @@
-"""Errors of poses in metres of object surface: ADD, MSSD and ADD-S, each the least over the object's symmetries.
+"""Errors of poses, in metres. The pose error, MSSD, is the one distance of verdicts, tolerances and tables.
 
-ADD is the mean distance of surface points (Hinterstoisser et al., ACCV 2012), MSSD the largest distance (Hodan et al.,
-ECCV 2020). ADD-S is the mean distance to the nearest surface point, which ignores all differences of similar views.
+The pose error is the largest displacement of any surface point between two poses, the least over the object's
+symmetries (MSSD; Hodan et al., ECCV 2020). The displacement is a convex function of the point, so a corner of the
+convex hull has the largest one. ADD is the mean displacement (Hinterstoisser et al., ACCV 2012). ADD-S is the mean
+distance to the nearest surface point, which ignores all differences of similar views.
 
-About a continuous axis of symmetry, the best roll theta is searched. A surface point's squared distance is a sinusoid
-of the roll, a + b cos(theta) + c sin(theta). The minimum of the mean of these squares has a closed form. Weiszfeld's
-iteration minimizes the mean distance, ADD: in each round, it minimizes the mean of squares, each weighted by one over
-the previous distance.
+About a continuous axis of symmetry, the best roll theta is searched. A surface point's squared displacement is a
+sinusoid of the roll, a + b cos(theta) + c sin(theta). The minimum of the mean of these squares has a closed form.
+Weiszfeld's iteration minimizes the mean displacement, ADD: in each round, it minimizes the mean of squares, each
+weighted by one over the previous displacement.
 
-The largest distance, MSSD, has kinks and several minima. In an interval of rolls, its lower bound is the largest of the
+The largest displacement has kinks and several minima. In an interval of rolls, its lower bound is the largest of the
 sinusoids' minima. Intervals that could contain a better roll are halved, until none could be better by PRECISION_M.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +24,15 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses, rotation_about, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.runtime.compiled import njit, run_in_threads
+
+# mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 TRIED_ROLLS, ROLL_POINTS = 64, 300  # rolls and points that are tried to find a start near the least mean distance
 ROUNDS_FEW, ROUNDS_ALL = 12, 3  # rounds of Weiszfeld's iteration, with few points and with all points
 COINCIDENT_M = 1e-9  # smaller distances count as this distance
-PRECISION_M, INTERVALS = 1e-7, 24  # precision of the largest distance; first number of intervals
+PRECISION_M, INTERVALS = 1e-7, 24  # precision of the pose error; first number of intervals of rolls
+HALVINGS = 60  # most halvings of one interval
 
 Array = NDArray[np.float64]
 FEW_SYMMETRIES = 8  # up to this number of symmetries, all are measured with all points
@@ -56,21 +64,153 @@ def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true:
     return _average_distances(points_m, T_estimates[:, None] - same[chosen]).min(axis=1)
 
 
-def compute_mssd(obj: ObjectModel, corners_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
-    """Return MSSD (K,), metres: the largest surface distance between estimates (K, 4, 4) and the true pose (4, 4).
+def measure_pose_errors(
+    obj: ObjectModel, T: Poses, T_other: Poses, points_m: Points | None = None, limit_m: float = 0.0
+) -> NDArray[np.float64]:
+    """Return the pose errors (K,), metres, between poses T (K, 4, 4) and T_other, (K, 4, 4) or (4, 4).
 
-    MSSD is exact if `corners_m` (V, 3) are the hull's (`TriangleMesh.hull_corners_m`), since the distance is a convex
-    function of the point. Symmetries are tried in order of root mean square distance, which is a lower bound of the
-    largest distance. So no better symmetry is left out. For a continuous axis, the best roll is searched. All points of
-    a sphere move as its centre does.
+    With `points_m` (P, 3), metres, in the object's frame, only these points count, not the whole surface. A positive
+    `limit_m` saves time: an error is then only right in that it is or is not above `limit_m` metres.
     """
-    if obj.symmetry.is_sphere:
-        return PoseMetric(obj).symmetric_distance(T_estimates, T_true[None])
-    if obj.symmetry.continuous_axis is not None:
-        return np.array([find_least_largest(obj, corners_m, T, T_true) for T in T_estimates])
-    same = T_true @ obj.symmetry.list_elements()
-    rms = _measure_rms(obj, T_estimates, same)
-    return np.array([_find_least_largest(corners_m, T - same, r) for T, r in zip(T_estimates, rms, strict=True)])
+    T = np.ascontiguousarray(T, np.float64)
+    others = np.ascontiguousarray(np.broadcast_to(T_other, T.shape), np.float64)
+    corners_m = np.ascontiguousarray(obj.mesh.hull_corners_m if points_m is None else points_m, np.float64)
+    symmetry, errors_m = obj.symmetry, np.empty(len(T))
+    if symmetry.is_sphere:
+        centre_m = symmetry.centre_m[None]
+        return np.linalg.norm(transform_points(T, centre_m) - transform_points(others, centre_m), axis=-1)[:, 0]
+    if symmetry.continuous_axis is None:
+        same = np.ascontiguousarray(symmetry.list_elements())
+        run_in_threads(_fill_errors, len(T), T, others, same, corners_m, limit_m, errors_m)
+        return errors_m
+    flipped = np.ascontiguousarray(others[:, None] @ _list_flips(obj))
+    frame = (np.ascontiguousarray(symmetry.continuous_axis, np.float64), np.ascontiguousarray(symmetry.centre_m))
+    run_in_threads(_fill_rolled_errors, len(T), T, flipped, frame, corners_m, limit_m, errors_m)
+    return errors_m
+
+
+@njit(fast=True)
+def _fill_errors(first, last, T, others, same, points, limit, errors):
+    """Fill `errors` (K,) for poses T and others (K, 4, 4), symmetries `same` (E, 4, 4) and points (P, 3), metres."""
+    moved = np.empty((3, 4))
+    enough = limit * limit
+    for k in range(first, last):
+        best = np.inf
+        for e in range(len(same)):
+            for i in range(3):
+                for j in range(4):
+                    moved[i, j] = T[k, i, j]
+                    for m in range(4):
+                        moved[i, j] -= others[k, i, m] * same[e, m, j]
+            worst = 0.0
+            for p in range(len(points)):
+                x, y, z = points[p, 0], points[p, 1], points[p, 2]
+                squared = 0.0
+                for i in range(3):
+                    off = moved[i, 0] * x + moved[i, 1] * y + moved[i, 2] * z + moved[i, 3]
+                    squared += off * off
+                if squared > worst:
+                    worst = squared
+                    if worst >= best:
+                        break
+            best = min(best, worst)
+            if best <= enough:
+                break
+        errors[k] = math.sqrt(best)
+
+
+@njit(fast=True)
+def _fill_rolled_errors(first, last, T, flipped, frame, points, limit, errors):
+    """Fill `errors` (K,) as `_fill_errors`, for all rolls of poses `flipped` (K, F, 4, 4) about an axis.
+
+    `frame` is the unit axis (3,) and a point (3,) of it, metres, in the object's frame.
+    """
+    waves = np.empty((len(points), 3))
+    middles, halves = np.empty(INTERVALS + HALVINGS), np.empty(INTERVALS + HALVINGS)
+    for k in range(first, last):
+        best = np.inf
+        for f in range(flipped.shape[1]):
+            roll = _fit_waves(T[k], flipped[k, f], frame, points, waves)
+            best = min(best, _find_largest(waves, roll))
+            half, count = math.pi / INTERVALS, INTERVALS
+            for i in range(INTERVALS):
+                middles[i], halves[i] = (2 * i + 1) * half, half
+            while count and best > limit:
+                count -= 1
+                middle, half = middles[count], halves[count]
+                least = max(best - PRECISION_M, 0.0) if limit <= 0 else min(best - PRECISION_M, limit)
+                if least <= 0 or _bound_largest(waves, middle, half, least * least) >= least * least:
+                    continue
+                best = min(best, _find_largest(waves, middle))
+                if count + 2 <= len(middles):
+                    middles[count], halves[count] = middle - half / 2, half / 2
+                    middles[count + 1], halves[count + 1] = middle + half / 2, half / 2
+                    count += 2
+            if best <= limit:
+                break
+        errors[k] = best
+
+
+@njit(fast=True)
+def _fit_waves(T, other, frame, points, waves):
+    """Fill `waves` (P, 3), a, b and c, m^2, of the squared displacements, and return the roll of their least mean."""
+    axis, centre = frame
+    U = np.empty((3, 3))  # rotation of the other pose after a quarter turn about the axis
+    sums_b = sums_c = 0.0
+    for i in range(3):
+        r0, r1, r2 = other[i, 0], other[i, 1], other[i, 2]
+        U[i, 0] = r1 * axis[2] - r2 * axis[1]
+        U[i, 1] = r2 * axis[0] - r0 * axis[2]
+        U[i, 2] = r0 * axis[1] - r1 * axis[0]
+    for p in range(len(points)):
+        o0, o1, o2 = points[p, 0] - centre[0], points[p, 1] - centre[1], points[p, 2] - centre[2]
+        along = o0 * axis[0] + o1 * axis[1] + o2 * axis[2]
+        q0, q1, q2 = o0 - along * axis[0], o1 - along * axis[1], o2 - along * axis[2]
+        m0, m1, m2 = centre[0] + along * axis[0], centre[1] + along * axis[1], centre[2] + along * axis[2]
+        a = b = c = 0.0
+        for i in range(3):
+            here = T[i, 0] * points[p, 0] + T[i, 1] * points[p, 1] + T[i, 2] * points[p, 2] + T[i, 3]
+            fixed = here - (other[i, 0] * m0 + other[i, 1] * m1 + other[i, 2] * m2 + other[i, 3])
+            cosine = other[i, 0] * q0 + other[i, 1] * q1 + other[i, 2] * q2
+            sine = U[i, 0] * q0 + U[i, 1] * q1 + U[i, 2] * q2
+            a += fixed * fixed + cosine * cosine
+            b -= 2 * fixed * cosine
+            c -= 2 * fixed * sine
+        waves[p, 0], waves[p, 1], waves[p, 2] = a, b, c
+        sums_b, sums_c = sums_b + b, sums_c + c
+    return math.atan2(-sums_c, -sums_b)
+
+
+@njit(fast=True)
+def _find_largest(waves, roll):
+    """Return the largest displacement, metres, at a roll, radians."""
+    cosine, sine, largest = math.cos(roll), math.sin(roll), 0.0
+    for p in range(len(waves)):
+        largest = max(largest, waves[p, 0] + waves[p, 1] * cosine + waves[p, 2] * sine)
+    return math.sqrt(largest)
+
+
+@njit(fast=True)
+def _bound_largest(waves, middle, half, enough):
+    """Return a lower bound, m^2, of the largest squared displacement at rolls within `half` of `middle`, radians.
+
+    A bound of at least `enough` is returned as soon as it is found.
+    """
+    c0, s0, c1, s1 = math.cos(middle - half), math.sin(middle - half), math.cos(middle + half), math.sin(middle + half)
+    towards_c, towards_s, near = math.cos(middle), math.sin(middle), math.cos(half)
+    largest = 0.0
+    for p in range(len(waves)):
+        a, b, c = waves[p, 0], waves[p, 1], waves[p, 2]
+        swing = math.sqrt(b * b + c * c)
+        if -(b * towards_c + c * towards_s) > near * swing:  # the sinusoid's minimum is inside the interval
+            lowest = a - swing
+        else:
+            lowest = min(a + b * c0 + c * s0, a + b * c1 + c * s1)
+        if lowest > largest:
+            largest = lowest
+            if largest >= enough:
+                break
+    return largest
 
 
 def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -> NDArray[np.float64]:
@@ -116,18 +256,6 @@ def _average_distances(points_m: Points, difference: Poses) -> NDArray[np.float6
     return np.concatenate(means).reshape(difference.shape[:-2])
 
 
-def _find_least_largest(corners_m: Points, difference: Poses, rms_m: NDArray[np.float64]) -> float:
-    """Return the least, over E differences of poses (E, 4, 4), of the largest distance of any corner (V, 3), metres."""
-    order = np.argsort(rms_m)
-    least = np.inf
-    for start in range(0, len(order), AT_ONCE):
-        some = order[start : start + AT_ONCE]
-        if rms_m[some[0]] >= least:
-            break
-        least = min(least, float(_measure_distances(corners_m, difference[some]).max(axis=1).min()))
-    return least
-
-
 def find_least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> float:
     """Return the least mean distance, metres, of points (P, 3) between a pose (4, 4) and the rolled true pose (4, 4).
 
@@ -142,24 +270,6 @@ def find_least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true
     every = _fit_sinusoids(obj, points_m, T_estimate, T_true @ _list_flips(obj)[best])
     roll = _iterate_weiszfeld(every, _iterate_weiszfeld(few[best], tried[best][place], ROUNDS_FEW), ROUNDS_ALL)
     return float(_measure_rolled(every, roll).mean())
-
-
-def find_least_largest(obj: ObjectModel, corners_m: Array, T_estimate: Poses, T_true: Poses) -> float:
-    """Return the least largest distance, metres, of points (P, 3) between a pose and the rolled true pose (4, 4).
-
-    The least is over all rolls about the object's continuous axis of symmetry. The result is exact to PRECISION_M.
-    """
-    flips = [_fit_sinusoids(obj, corners_m, T_estimate, T_true @ S) for S in _list_flips(obj)]
-    best_m = min(float(_measure_rolled(s, _find_lowest(s.mean(axis=0))).max()) for s in flips)
-    for sinusoids in flips:
-        half = float(np.pi) / INTERVALS
-        middles: Array = (2 * np.arange(INTERVALS, dtype=np.float64) + 1) * half
-        while len(middles):
-            best_m = min(best_m, float(_measure_rolled(sinusoids, middles).max(axis=1).min()))
-            hopeful = _bound_distances(sinusoids, middles, half).max(axis=1) < best_m - PRECISION_M
-            half /= 2
-            middles = (middles[hopeful, None] + np.array([-half, half])).ravel()
-    return best_m
 
 
 def _list_flips(obj: ObjectModel) -> Poses:
@@ -188,14 +298,6 @@ def _measure_rolled(sinusoids: Array, rolls: Array | float) -> Array:
     """Return the distances (..., P), metres, whose squares are sinusoids (P, 3), at rolls (...,), radians."""
     waves = np.stack([np.ones_like(rolls), np.cos(rolls), np.sin(rolls)], axis=-1)
     return np.sqrt(np.maximum(waves @ sinusoids.T, 0.0))
-
-
-def _bound_distances(sinusoids: Array, middles: Array, half: float) -> Array:
-    """Return the least distances (I, P), metres, at rolls within `half` of `middles` (I,), radians."""
-    ends = np.minimum(_measure_rolled(sinusoids, middles - half), _measure_rolled(sinusoids, middles + half))
-    lowest = sinusoids[:, 0] - np.hypot(sinusoids[:, 1], sinusoids[:, 2])
-    off = (_find_lowest(sinusoids) - middles[:, None] + np.pi) % (2 * np.pi) - np.pi
-    return np.where(np.abs(off) < half, np.sqrt(np.maximum(lowest, 0.0)), ends)
 
 
 def _iterate_weiszfeld(sinusoids: Array, roll: Array | float, rounds: int) -> Array | float:

@@ -44,7 +44,7 @@ class PosePrior(ABC):
         return 0
 
     def temper(self, power: Callable[[int], float]) -> PosePrior:
-        """Return the prior with its weights from N earlier touches raised to `power(N)`: see `FusedScaling`."""
+        """Return the prior with its weights from N earlier touches raised to `power(N)`: see `temperature`."""
         return self
 
     def view_from(self, T_base_sensor: Poses) -> SeenFrom:

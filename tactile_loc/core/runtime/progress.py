@@ -24,7 +24,7 @@ class Progress:
         """Show one line about the running task, such as a loss. The next call replaces the line."""
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class StageTimes:
     """Durations of stages: `seconds` by name, in the order in which the stages first ran."""
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Float32, Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.places.imprints import Explained, compare_imprints
+from tactile_loc.core.places.imprints import Explained, Residuals, compare_imprints, measure_residuals
 from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
@@ -168,17 +168,29 @@ class Scene:
         return parts[0] if len(parts) == 1 else Explained(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _compare_some(self, T_sensor_object: Poses, touch: Touch, pixels: int, freedom_m: float) -> Explained:
+        return compare_imprints(*self._draw_beside(T_sensor_object, touch, pixels, freedom_m))
+
+    def measure_residuals(self, T_sensor_object: Poses, touch: Touch, pixels: int = IOU_PX) -> Residuals:
+        """Return what poses (N, 4, 4), metres, leave unexplained of a touch. They move along z as for IoUs."""
+        return measure_residuals(*self._draw_beside(T_sensor_object, touch, pixels))
+
+    def _draw_beside(
+        self, T_sensor_object: Poses, touch: Touch, pixels: int, freedom_m: float = 0.0
+    ) -> tuple[Float32, Float32, float, NDArray[np.bool_], float]:
+        """Draw poses (N, 4, 4), metres, beside a touch: the arguments of `compare_imprints`."""
         geometry, wanted = touch.thin(pixels)
+        scene, press_m = dataclasses.replace(self, geometry=geometry), wanted.press_depth_m
+        most_m = freedom_m + _estimate_press_error_m(touch)
         if not touch.has_depths:
-            return self._compare_masks(T_sensor_object, wanted, geometry, _estimate_press_error_m(touch) + freedom_m)
-        press_m, most_m = wanted.press_depth_m, freedom_m + _estimate_press_error_m(touch)
-        scene = dataclasses.replace(self, geometry=geometry)
+            shown = scene._render_at_own_press(T_sensor_object, wanted, most_m)
+            made = np.where(shown < np.float32(press_m), np.float32(0), np.float32(press_m))
+            return made, wanted.depth_m, press_m, geometry.observed_mask, geometry.pixel_pitch_m
         made = scene.render_contact_depths(scene.bring_near_contact(T_sensor_object, most_m), press_m)
         if geometry.gel.is_elastic:
             # beside the contact, the object may be anywhere beyond the gel's surface
             pierced = made < touch.thin_surface(pixels).depth_m - np.float32(SLACK * press_m)
             made = np.where(wanted.contact | pierced, made, np.float32(press_m))
-        return compare_imprints(made, wanted.depth_m, press_m, geometry.observed_mask, geometry.pixel_pitch_m)
+        return made, wanted.depth_m, press_m, geometry.observed_mask, geometry.pixel_pitch_m
 
     def _render_at_own_press(self, T_sensor_object: Poses, mask: ContactShape, most_m: float) -> NDArray[np.float32]:
         """Render the contact depths (N, H, W), metres, of poses (N, 4, 4) at their own press, not that of a mask.
@@ -191,17 +203,6 @@ class Scene:
         press = np.float32(mask.press_depth_m)
         return np.where(
             deep_m < np.float32(mask.deepest_m + slack_m), np.clip(deep_m - slack_m, 0, 0.999 * press), press
-        )
-
-    def _compare_masks(
-        self, T_sensor_object: Poses, wanted: ContactShape, geometry: SensorGeometry, most_m: float
-    ) -> Explained:
-        """Compare poses (N, 4, 4), metres, with a contact mask, of which no depth is known."""
-        scene, press = dataclasses.replace(self, geometry=geometry), np.float32(wanted.press_depth_m)
-        shown = scene._render_at_own_press(T_sensor_object, wanted, most_m)
-        made = np.where(shown < press, np.float32(0), press)
-        return compare_imprints(
-            made, wanted.depth_m, wanted.press_depth_m, geometry.observed_mask, geometry.pixel_pitch_m
         )
 
 

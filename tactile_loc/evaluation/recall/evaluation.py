@@ -22,6 +22,7 @@ from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.evaluation.summary import RIGHT_M
 from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer, Observation, localize_together
+from tactile_loc.locate.probability.outcome import load_outcome_model
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.localization import Hypothesis, Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
@@ -99,14 +100,13 @@ def _make_table(
 def make_recall_key(localizer: Localizer, examples: ExampleSource, together: Sequence[int]) -> StageKey:
     """Return the store key of an evaluation, made from all inputs of its results."""
     settings = {key: value for key, value in localizer.config.resolve().items() if key not in ("object", "touch")}
-    fitted = localizer.probabilities
-    scalings = [asdict(fitted.temperature_scaling), *([asdict(fitted.fused_scaling)] if together[-1] > 1 else [])]
     inputs = {
         **localizer.source.describe_scores(),
         "object": localizer.object.describe(),
         "settings": settings,
         "stages": dict(STAGE_VERSIONS),
-        "scalings": scalings,
+        "scalings": asdict(localizer.source.temperature_scaling),
+        "outcomes": load_outcome_model().about["version"],
         "examples": examples.describe(),
         "count": examples.count,
         "together": list(together),

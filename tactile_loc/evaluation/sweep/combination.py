@@ -168,9 +168,9 @@ def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]
     has = localizer.store.get
     missing = {(key.stage, key.digest) for key in (*learned, bank) if has(key) is None}
     whole = all(has(key) is not None for key in learned)  # if true, the next keys need no building
-    fitted = one.config.temperature is not None
+    fitted = one.config.temperature is not None or localizer.encoder.capabilities.temperature is not None
     if not fitted and whole:
-        fitted = has(localizer.probabilities.temperature_key()) is not None
+        fitted = has(localizer.listed.temperature_key()) is not None
     if not fitted:
         missing.add(("temperature", bank.digest))
     touches = SimulatedTouches(one.config.touch.noise, one.config.seed)
@@ -213,7 +213,7 @@ class CombinationJob:
         localizer = Localizer(config, obj, store)
         start_s = time.perf_counter()
         localizer.source.describe_scores()  # builds the grid and its shapes, and trains the encoder
-        _ = localizer.probabilities.temperature_scaling
+        _ = localizer.source.temperature_scaling
         model_s = time.perf_counter() - start_s if store.built else 0.0
         evaluation = evaluate(localizer, self.count, SimulatedTouches(config.touch.noise, config.seed, images=False))
         return {**summarise(evaluation), "model_s": round(model_s, 3)}

@@ -9,10 +9,8 @@ The set of a new result contains the items whose score is at most the level
     the ceil((n + 1) coverage)-th smallest of the n scores.
 
 Let the touches be exchangeable with the examples. Then the set contains the right item with at least the probability
-`coverage`, even if the probabilities are bad. Good probabilities make the sets of touches that are explained well
-small, and those of other touches large. So e is predicted from everything that is observed (`locate.misses`), and one
-level serves all touches. Separate levels for touches that are explained well and for others (Mondrian sets) had the
-same coverage, and needed "elsewhere" more often, because each level had half of the examples.
+`coverage`, even if the probabilities are bad. The examples are of many parts and sensors, which no fit has used; their
+scores are shipped with the model of outcomes.
 """
 
 from __future__ import annotations
@@ -26,13 +24,11 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.locate.probability.misses import predict_miss
-from tactile_loc.locate.result.hypothesis import Hypothesis
 
-POWER = 0.7  # to which the poses' probabilities are raised, because they rank likely poses too surely
 RARE = 4.0  # at a level of 0.95, "elsewhere" is in the set if its probability is at least 0.05 times this
 ELSEWHERE = -1  # the number of the item "elsewhere"
 LISTED = 40  # fewest poses to refine for a set, if there are that many
+RIGHT_M = 1e-3  # pose error within which a refined pose counts as the true pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +43,8 @@ class Ranking:
 
     @classmethod
     def of(cls, probabilities: Sequence[float], elsewhere: float) -> Ranking:
-        """Make a ranking of poses from probabilities (K,) up to a factor. They are tempered."""
-        p = np.asarray(probabilities, float) ** POWER
+        """Make a ranking of poses from probabilities (K,) up to a factor."""
+        p = np.asarray(probabilities, float)
         total = p.sum()
         return cls(p / total if total > 0 else np.full(len(p), 1 / len(p)), elsewhere)
 
@@ -63,42 +59,26 @@ class Ranking:
         return max(1, sum(self.score(number) <= level for number in range(len(self.probabilities))))
 
 
-def rank(hypotheses: Sequence[Hypothesis], touches: int) -> Ranking:
-    """Return the ranking of the hypotheses of a number of touches."""
-    return Ranking.of([h.probability for h in hypotheses], predict_miss(hypotheses, touches))
+def find_level(scores: NDArray[np.float64], coverage: float) -> float:
+    """Return the level for a coverage given the scores (n,) of examples, all 0 to 1; infinite if n is too small.
 
-
-@dataclass(frozen=True)
-class ConformalSets:
-    """The `scores` (n,) of held-out examples, 0 to 1.
-
-    A pose is right if it is within `radius_m` metres of the true pose, as a surface distance, with symmetric poses
-    counted as equal.
+    Raises ConfigError unless the coverage is between 0 and 1.
     """
-
-    scores: Sequence[float]
-    radius_m: float
-
-    def find_level(self, coverage: float) -> float:
-        """Return the level for a coverage, both 0 to 1; infinite if there are too few examples.
-
-        Raises ConfigError unless the coverage is between 0 and 1.
-        """
-        if not 0 < coverage < 1:
-            raise ConfigError(f"the coverage is {coverage:g}; give more than 0 and less than 1")
-        rank = math.ceil((len(self.scores) + 1) * coverage - 1e-9)
-        return float(np.sort(self.scores)[rank - 1]) if rank <= len(self.scores) else math.inf
+    if not 0 < coverage < 1:
+        raise ConfigError(f"the coverage is {coverage:g}; give more than 0 and less than 1")
+    rank = math.ceil((len(scores) + 1) * coverage - 1e-9)
+    return float(np.sort(scores)[rank - 1]) if rank <= len(scores) else math.inf
 
 
 @dataclass(frozen=True, eq=False)
 class PoseSet:
     """The first `poses` hypotheses of a result: a set that contains the true pose with probability `coverage`, 0 to 1.
 
-    A pose is the true one if it is within `radius_m` metres of it (surface distance, symmetric poses equal). If
-    `elsewhere` is true, the set also contains "elsewhere": the true pose may be none of the listed ones. `missed`, 0 to
-    1, is the predicted probability of that. `level` is the total probability up to which poses are listed, and
-    `examples` is the number of held-out examples that decide it. `promised` states whether the listed poses alone have
-    the coverage. If not, `reason` is a sentence that states why.
+    A pose is the true one if its pose error is at most `radius_m` metres. If `elsewhere` is true, the set also contains
+    "elsewhere": the true pose may be none of the listed ones. `missed`, 0 to 1, is the predicted probability of that.
+    `level` is the total probability up to which poses are listed, and `examples` is the number of held-out examples
+    that decide it. `promised` states whether the listed poses alone have the coverage. If not, `reason` is a sentence
+    that states why.
     """
 
     coverage: float
@@ -129,36 +109,26 @@ class PoseSet:
             return self.reason
         return (
             f"The true pose is within {format_mm(self.radius_m)} mm of one of these poses with this probability, "
-            f"measured on {self.examples} simulated examples."
+            f"measured on {self.examples} simulated examples of other parts."
         )
 
     @classmethod
-    def of(cls, ranking: Ranking, sets: ConformalSets, coverage: float, contradictory: bool = False) -> PoseSet:
-        """Make a result's set with the requested coverage. `contradictory` states whether the touches contradict.
+    def of(cls, ranking: Ranking, scores: NDArray[np.float64], coverage: float, doubt: str = "") -> PoseSet:
+        """Make a result's set with the requested coverage, given the scores (n,) of examples.
 
-        Raises ConfigError unless the coverage is between 0 and 1.
+        `doubt` is a sentence that states why the examples say nothing about this result; empty if they do. Raises
+        ConfigError unless the coverage is between 0 and 1.
         """
-        level, examples = sets.find_level(coverage), len(sets.scores)
+        level, examples = find_level(scores, coverage), len(scores)
         elsewhere = ranking.score(ELSEWHERE) <= level
-        reason = ""
-        if contradictory:
-            reason = "The touches contradict each other, and the examples do not."
-        elif math.isinf(level):
+        reason = doubt
+        if not reason and math.isinf(level):
             most = math.floor(1000 * examples / (examples + 1)) / 10
             reason = f"{examples} simulated examples are too few for this coverage; they promise at most {most:g} %."
-        elif elsewhere:
+        if not reason and elsewhere:
             reason = (
                 "The search misses the true pose of touches like these too often: it is none of the listed poses with "
                 f"a probability of {100 * ranking.elsewhere:.0f} %."
             )
-        return cls(
-            coverage,
-            min(level, 1.0),
-            examples,
-            ranking.count(level),
-            sets.radius_m,
-            ranking.elsewhere,
-            elsewhere,
-            not reason,
-            reason,
-        )
+        kept = ranking.count(level)
+        return cls(coverage, min(level, 1.0), examples, kept, RIGHT_M, ranking.elsewhere, elsewhere, not reason, reason)

@@ -12,13 +12,13 @@ from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.streams.records import read_versions
 from tactile_loc.locate.result.freedom import Freedom
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.result.verdict import Outcome, Verdict
 from tactile_loc.slots.registry import SLOTS, registry
 
 
 @dataclass(frozen=True)
-class SurfaceErrors:
-    """Surface distances, metres, to the true pose. For a symmetric object, the smallest over its symmetry counts.
+class PoseErrors:
+    """Pose errors, metres: see `measure_pose_errors`.
 
     `of_hypotheses_m` are those of the hypotheses, and `closest_in_grid_m` is that of the nearest grid pose.
     """
@@ -41,20 +41,24 @@ class SurfaceErrors:
 class Assessment:
     """The assessment of a result's first pose, from all poses that were scored. Files keep only some of these poses.
 
-    `probability_within`, 0 to 1, is the probability that the first pose is within the tolerance of the true pose; None
-    if a limit of the fit decides it. `freedom` is what the touches leave open. `next_step` names the next step.
-    `grid_poses` is the number of scored poses, and `entropy_nats` the entropy of their posterior. `kept_probability`, 0
-    to 1, is the probability of the poses that files keep. `errors` is None if the true pose is unknown.
+    The `outcome` has the probability that the first pose is within the tolerance of the true pose. `poor_touches`
+    are the numbers of the touches that it explains worse than right poses do. `freedom` is what the touches leave
+    open. `next_step` names the next step. `grid_poses` is the number of scored poses, and `entropy_nats` the
+    entropy of their posterior. `kept_probability`, 0 to 1, is the probability of the poses that files keep.
+    `errors` is None if the true pose is unknown. `error_quantile_m`, metres, is what the pose error does not exceed
+    with 95 % probability; None if it may be large.
     """
 
     verdict: Verdict
-    probability_within: float | None
+    outcome: Outcome | None
     freedom: Freedom
     next_step: str
     grid_poses: int
     entropy_nats: float
     kept_probability: float
-    errors: SurfaceErrors | None = None
+    errors: PoseErrors | None = None
+    poor_touches: tuple[int, ...] = ()
+    error_quantile_m: float | None = None
 
     @property
     def normalised_entropy(self) -> float:

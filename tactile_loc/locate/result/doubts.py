@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.verdict import LEAST_IOU
+import numpy as np
 
-NOT_EXPLAINED = 0.05  # imprint IoU below which a pose explains nothing of a touch
+from tactile_loc.locate.result.localization import Localization
+
+MOVED = 0.1  # a touch that another pose explains better by this imprint IoU may have been taken after a motion
+WRONG_PRESS = 0.15  # share of the press by which a wrongly stated press differs at least
+LEAST_PRESS_M = 3e-5
 
 
 def list_doubts(found: Localization) -> list[str]:
@@ -14,38 +17,47 @@ def list_doubts(found: Localization) -> list[str]:
 
 
 def _list_unexplained(found: Localization) -> list[str]:
-    if found.others:
-        return _list_touches_not_explained(found)
-    best = found.best
-    if not best.is_refined or best.imprint_iou >= LEAST_IOU:
+    if not found.poor_touches or not found.best.is_refined:
         return []
+    fits = [(found.touches[k].name, 100 * found.best.imprint_ious[k]) for k in found.poor_touches]
+    names = ", ".join(f"{name} ({percent:.0f} %)" for name, percent in fits)
     return [
-        f"the best pose of {found.touch.name} has an imprint IoU of {100 * best.imprint_iou:.0f} %, which is below "
-        f"{100 * LEAST_IOU:.0f} %, and is probably wrong; check the object, the sensor, the unit and the prior"
+        f"the best pose explains {names} worse than right poses do (imprint IoU in brackets), and is probably wrong; "
+        f"{name_likely_cause(found)}"
     ]
+
+
+def name_likely_cause(found: Localization) -> str:
+    """Return in words what to check if the first pose explains touches poorly, from what remains unexplained."""
+    if found.unexpected:
+        return "the prior contradicts the touches: check its unit, frame and standard deviations"
+    if pressed := _find_wrong_press(found):
+        return f"the touches fit a {pressed} press: check the press depth, the unit, and the sensor's depth"
+    best, here = np.array(found.agreement.best_ious), np.array(found.best.imprint_ious)
+    if len(found.touches) > 1 and len(best) == len(here) and (best - here).max() > MOVED:
+        return "other poses explain single touches better: the object moved meanwhile, or a T_base_sensor is wrong"
+    if len(found.touches) > 1:
+        return "check each T_base_sensor, the object, the sensor and the unit of these touches"
+    return "check the object, the sensor, the unit and the press of the touch"
+
+
+def _find_wrong_press(found: Localization) -> str:
+    """Return whether the touches seem to be pressed "deeper" or "lighter" than stated; empty if that is not clear."""
+    if found.evidence is None:
+        return ""
+    off_m = found.evidence.press_m
+    pressed_m = np.mean([touch.indentation_m for touch in found.touches])
+    alike = abs(np.sign(off_m).sum()) == len(off_m)
+    clear = alike and np.abs(off_m).min() > max(WRONG_PRESS * pressed_m, LEAST_PRESS_M)
+    return "" if not clear else "deeper" if off_m[0] > 0 else "lighter"
 
 
 def _list_unexpected(found: Localization) -> list[str]:
     if not found.unexpected:
         return []
     return [
-        f"the prior makes the best pose of {found.touch.name} very improbable; check the prior's unit, frame and "
-        "standard deviations, or locate the touch without it"
-    ]
-
-
-def _list_touches_not_explained(found: Localization) -> list[str]:
-    unexplained = [
-        touch.name
-        for number, (touch, iou) in enumerate(zip(found.touches, found.best.imprint_ious, strict=False))
-        if iou < NOT_EXPLAINED and number not in found.agreement.outliers
-    ]
-    if not unexplained:
-        return []
-    names = ", ".join(unexplained)
-    return [
-        f"the best pose explains nothing of {names} (imprint IoU below {100 * NOT_EXPLAINED:.0f} %), and is "
-        "probably wrong; check T_base_sensor and the object of these touches, or locate the object without them"
+        "the prior contradicts the touches: poses that it makes very improbable explain them better; check the prior's "
+        "unit, frame and standard deviations, or locate the touches without it"
     ]
 
 

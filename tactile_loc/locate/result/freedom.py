@@ -1,6 +1,7 @@
 """The freedom that touches leave: how many poses explain them equally well, and how these poses differ, in words.
 
-Motions are described in the first touch's sensor frame, at the middle of its gel, where the object touches.
+Motions are those of the object, along and about the axes of its own frame. A turn in place leaves the point of contact
+where it is.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import move_covariance
 from tactile_loc.core.geometry.rigid import Poses, axis_angle, invert, transform_points
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
+from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.core.sensing.touch import Touch
 
 Float64 = NDArray[np.float64]
@@ -30,30 +33,43 @@ NOTHING = np.zeros(3)
 
 @dataclass(frozen=True, eq=False)
 class Freedom:
-    """What touches leave open about the first pose.
+    """What touches leave open about the first pose, in the object's frame. Motions are (3,), and 0 if small.
 
-    `others` is the number of other listed poses that explain the touches equally well. `slide_m` (3,) is the largest
-    possible slide of the object, metres, and `turn_rad` (3,) the largest possible turn in place, as a rotation vector,
-    radians. Both are in the first touch's sensor frame, and 0 if small.
+    `others` is the number of other listed poses that explain the touches equally well. The most probable of them
+    follows from the first pose by the turn `other_turn_rad`, a rotation vector, and the shift `other_shift_m` of the
+    object's centroid, metres. `slide_m` is the largest possible slide, metres, and `turn_rad` the largest possible turn
+    in place, a rotation vector. `contact_std_m` is the largest standard deviation of the position at the contact,
+    metres; None if it is unknown.
     """
 
     others: int
     slide_m: Float64
     turn_rad: Float64
+    other_turn_rad: Float64
+    other_shift_m: Float64
+    contact_std_m: float | None = None
 
     def __str__(self) -> str:
-        """Return the freedom in words, in mm and degrees; empty if nothing is open."""
+        """Return what is known and what is open in words, in mm and degrees; empty if nothing is open."""
         said = []
         if self.others:
-            poses = "pose explains" if self.others == 1 else "poses explain"
-            said.append(f"{self.others} other listed {poses} it equally well")
+            more = f", and {self.others - 1} other listed poses do" if self.others > 1 else ""
+            said.append(f"{self._describe_other()}, it fits as well{more}")
         if self.slide_m.any():
-            mm = 1e3 * np.linalg.norm(self.slide_m)
-            said.append(f"the object may slide up to {mm:.1f} mm along {_name_direction(self.slide_m)} of the sensor")
+            said.append(f"it may slide up to {_name_length(self.slide_m)} along {_name_direction(self.slide_m)}")
         if self.turn_rad.any():
-            deg = np.degrees(np.linalg.norm(self.turn_rad))
-            said.append(f"it may turn up to {deg:.0f} degrees about {_name_direction(self.turn_rad)} of the sensor")
+            said.append(f"it may turn up to {_name_angle(self.turn_rad)} about {_name_direction(self.turn_rad)}")
+        if said and self.contact_std_m is not None and not self.others and not self.slide_m.any():
+            said.insert(0, f"position at the contact within {format_mm(WIDE * self.contact_std_m)} mm")
         return "; ".join(said)
+
+    def _describe_other(self) -> str:
+        moved = []
+        if self.other_shift_m.any():
+            moved.append(f"moved by {_name_length(self.other_shift_m)}")
+        if self.other_turn_rad.any():
+            moved.append(f"turned by {_name_angle(self.other_turn_rad)} about {_name_direction(self.other_turn_rad)}")
+        return " and ".join(moved) or "moved a little"
 
 
 def find_as_well(touches: Sequence[Touch]) -> float:
@@ -75,32 +91,46 @@ def explain_as_well(imprint_ious: Float64, best: float, as_well: float = AS_WELL
 
 def find_freedom(
     T_sensor_object: Poses,
-    imprint_ious: Float64,
+    as_well: NDArray[np.bool_],
     covariance: Float64 | None,
     contact_m: Float64,
-    same: NDArray[np.bool_],
+    obj: ObjectModel,
     tolerance: Tolerance = ONE_MILLIMETRE,
-    as_well: float = AS_WELL,
+    *,
+    is_open: bool = True,
 ) -> Freedom:
     """Return what is open about the first of K poses (K, 4, 4), metres.
 
-    `imprint_ious` (K,), 0 to 1, state how well the poses explain the touches. `covariance` (6, 6) is the first pose's;
-    None if unknown. `contact_m` (3,), metres, is the point of contact in the sensor frame. `same` (K,) marks poses
-    within the tolerance of the first pose. Smaller motions than the tolerance are not mentioned. `as_well` is as for
-    `explain_as_well`.
+    `as_well` (K,) marks other poses that explain the touches as well, and that are not within the tolerance.
+    `covariance` (6, 6) is the first pose's; None if it is unknown. `contact_m` (3,), metres, is the point of contact in
+    the sensor frame. Smaller motions than the tolerance are not
+    mentioned, nor those of the covariance unless the pose `is_open`.
     """
     least_m, least_rad = tolerance.distance_m or 1e-3, tolerance.rotation_rad or SMALL_TURN_RAD
-    equal = explain_as_well(imprint_ious, imprint_ious[0], as_well) & ~same
-    others = T_sensor_object[equal] @ invert(T_sensor_object[0])
-    shifts = transform_points(others, contact_m[None])[:, 0] - contact_m
-    turns = np.array([_find_rotation_vector(motion) for motion in others]).reshape(-1, 3)
+    first, R = T_sensor_object[0], T_sensor_object[0, :3, :3]
+    motions = invert(first) @ T_sensor_object[as_well]
+    touched_m = transform_points(invert(first), contact_m[None])[0]
+    shifts = transform_points(motions, touched_m[None])[:, 0] - touched_m
+    turns = np.array([_find_rotation_vector(motion) for motion in motions]).reshape(-1, 3)
     in_place, straight = np.linalg.norm(shifts, axis=1) < least_m, np.linalg.norm(turns, axis=1) < least_rad
-    slides, rotations = [*shifts[straight]], [*turns[in_place]]
+    slides, rotations, std_m = [*shifts[straight]], [*turns[in_place]], None
     if covariance is not None:
-        at_contact = move_covariance(covariance, contact_m - T_sensor_object[0, :3, 3])
-        slides.append(_find_widest(at_contact[:3, :3]))
-        rotations.append(_find_widest(at_contact[3:, 3:]))
-    return Freedom(len(others), _find_longest(slides, least_m), _find_longest(rotations, least_rad))
+        at_contact = move_covariance(covariance, contact_m - first[:3, 3])
+        widest = _find_widest(at_contact[:3, :3]) @ R
+        std_m = float(np.linalg.norm(widest)) / WIDE
+        slides += [_shorten(widest, float(np.linalg.norm(obj.mesh.extents_m)))] * is_open
+        rotations += [_shorten(_find_widest(at_contact[3:, 3:]) @ R, np.pi)] * is_open
+    centroid_m = obj.mesh.centroid_m
+    moved = transform_points(motions, centroid_m[None])[:, 0] - centroid_m
+    other = [turns[0], moved[0]] if len(motions) else [NOTHING, NOTHING]
+    return Freedom(
+        len(motions),
+        _find_longest(slides, least_m),
+        _find_longest(rotations, least_rad),
+        _find_longest([other[0]], least_rad),
+        _find_longest([other[1]], least_m),
+        std_m,
+    )
 
 
 def _find_rotation_vector(T: Poses) -> Float64:
@@ -108,10 +138,23 @@ def _find_rotation_vector(T: Poses) -> Float64:
     return np.radians(angle_deg) * axis
 
 
+def _name_length(vector: Float64) -> str:
+    return f"{1e3 * np.linalg.norm(vector):.1f} mm"
+
+
+def _name_angle(vector: Float64) -> str:
+    return f"{np.degrees(np.linalg.norm(vector)):.0f} degrees"
+
+
 def _find_widest(covariance: Float64) -> Float64:
     """Return the direction (3,) of the largest variance of a covariance (3, 3), with the length of WIDE deviations."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(WIDE * np.sqrt(max(values[-1], 0.0)) * vectors[:, -1])
+
+
+def _shorten(vector: Float64, most: float) -> Float64:
+    """Return a vector (3,) that is not longer than `most`."""
+    return np.asarray(vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-12)))
 
 
 def _find_longest(vectors: list[Float64], least: float) -> Float64:
@@ -121,9 +164,9 @@ def _find_longest(vectors: list[Float64], least: float) -> Float64:
 
 
 def _name_direction(vector: Float64) -> str:
-    """Return x, y or z for a vector (3,) near an axis, and else its direction as three numbers."""
+    """Return x, y or z of the object for a vector (3,) near an axis, and else its direction as three numbers."""
     unit = vector / np.linalg.norm(vector)
     nearest = int(np.abs(unit).argmax())
     if abs(unit[nearest]) >= ALONG:
-        return "xyz"[nearest]
-    return "({:z.2f}, {:z.2f}, {:z.2f})".format(*(unit * np.sign(unit[nearest])))
+        return f"{'xyz'[nearest]} of the object"
+    return "({:z.2f}, {:z.2f}, {:z.2f}) of the object".format(*(unit * np.sign(unit[nearest])))

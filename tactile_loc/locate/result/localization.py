@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.pose_words import describe_first
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.runtime.errors import ConfigError, ResultError, TactileLocError
@@ -23,21 +22,23 @@ from tactile_loc.core.sensing.scene import Scene, View, view_touch
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.json_keys import write_keys
+from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.probability.conformal import PoseSet
-from tactile_loc.locate.probability.nearness import NATS_PER_IOU, Nearness, calibrate, compute_share_within, is_limited
-from tactile_loc.locate.probability.probabilities import MOST_ELSEWHERE
+from tactile_loc.locate.probability.evidence import Asked, Evidence, gather_evidence
+from tactile_loc.locate.probability.outcome import load_outcome_model
 from tactile_loc.locate.result import result_arrays, result_json
-from tactile_loc.locate.result.assessment import Assessment, Origin, SurfaceErrors
+from tactile_loc.locate.result.assessment import Assessment, Origin, PoseErrors
 from tactile_loc.locate.result.freedom import Freedom, explain_as_well, find_as_well, find_freedom
 from tactile_loc.locate.result.hypothesis import Agreement as Agreement
 from tactile_loc.locate.result.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.result.result_html import write_html
-from tactile_loc.locate.result.verdict import Verdict, describe_within, explain_verdict, judge, name_next_step
+from tactile_loc.locate.result.verdict import Outcome, Verdict, describe_within, explain_verdict, judge, name_next_step
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.files import lock_folder, write_json
 
+QUANTILES_M = (3e-4, 5e-4, 1e-3, 2e-3, 3e-3)  # tolerances to which the model of outcomes was fitted
+LEAST_BETTER = 0.1  # gain of imprint IoU without a prior by which the prior contradicts the touches
 LEAST_AGREEING = 3  # two of three touches may agree by chance, if sensor poses are wrong
-LEAST_OWN = 0.8  # share of the poses drawn from the first pose's covariance that must be within the tolerance
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +53,9 @@ class Localization:
 
     `config` is the configuration of the localizer; None if a localisation was made by hand. `unlisted` are refined
     hypotheses after the listed ones. They count for the verdict, but files do not keep them. `unexpected` states
-    whether the prior makes the first pose very improbable. `assessed` and `origin` are those of a file; None if they
-    are not known yet.
+    whether the prior makes the first pose very improbable. The `outcome` has the probability that the first pose is
+    right, computed from the `evidence`; both are None if a localisation was made by hand. `assessed` and `origin` are
+    those of a file; None if they are not known yet.
     """
 
     touch: Touch
@@ -67,6 +69,8 @@ class Localization:
     config: RunConfig | None = None
     unlisted: tuple[Hypothesis, ...] = ()
     unexpected: bool = False
+    evidence: Evidence | None = None
+    outcome: Outcome | None = None
     assessed: Assessment | None = None
     origin: Origin | None = None
 
@@ -124,6 +128,7 @@ class Localization:
             result_arrays.unpack_touches(arrays, "left_out", document["left_out"]),
             config,
             unexpected=document["unexpected"],
+            outcome=result_json.read_outcome(document),
             assessed=result_json.read_assessment(document, float(np.exp(arrays["log_p"]).sum())),
             origin=Origin(**{name: document[name] for name in Origin.__dataclass_fields__}),
         )
@@ -148,6 +153,7 @@ class Localization:
         return write_keys(
             result_json.RESULT,
             about,
+            probability_within=None if about.outcome is None else about.outcome.right,
             schema_version=result_json.SCHEMA_VERSION,
             **vars(self.made_with),
             object=result_json.write_object(self.object),
@@ -178,18 +184,22 @@ class Localization:
             return self.assessed
         errors_m, errors = self.measure_errors_m(self.object), None
         if errors_m is not None:
-            closest_m = self.posterior.grid.nearest(np.asarray(self.touch.T_sensor_object)[None])[0][0]
-            errors = SurfaceErrors(tuple(errors_m.tolist()), float(closest_m))
+            T_true = np.asarray(self.touch.T_sensor_object)
+            nearest = self.posterior.grid.nearest(T_true[None])[1]
+            closest_m = measure_pose_errors(self.object, self.posterior.grid.T_sensor_object[nearest], T_true)[0]
+            errors = PoseErrors(tuple(errors_m.tolist()), float(closest_m))
         kept = result_arrays.find_most_probable(self.posterior)
         return Assessment(
             self.verdict,
-            self.state_within(),
+            self.outcome,
             self.freedom,
             name_next_step(self.verdict, len(self.touches)),
             len(self.posterior.grid),
             self.posterior.entropy,
             float(np.exp(self.posterior.log_p[kept]).sum()),
             errors,
+            self.poor_touches,
+            self.find_error_quantile_m(),
         )
 
     @property
@@ -246,8 +256,32 @@ class Localization:
             return self.assessed.verdict
         if self._is_contradicted:
             return Verdict.POOR_FIT
-        iou = self.best.imprint_iou if self.best.is_refined else math.nan
-        return judge(self.probability_within(), iou, self.posterior.elsewhere, depths_known=self.depths_known)
+        sure = self.depths_known and not self.unexpected
+        return judge(self.outcome, sure=sure, poor=bool(self.poor_touches), least=self.confidence)
+
+    @property
+    def confidence(self) -> float:
+        """The probability, 0 to 1, from which the first pose is certain: that of `config`, or else CERTAIN."""
+        return CERTAIN if self.config is None else self.config.confidence
+
+    @cached_property
+    def poor_touches(self) -> tuple[int, ...]:
+        """The numbers of the touches that the first pose explains worse than right poses do, at the touches' noise.
+
+        A pose that was not refined is not judged. Outliers do not count.
+        """
+        if self.assessed is not None:
+            return self.assessed.poor_touches
+        if self.evidence is None or not self.best.is_refined:
+            return ()
+        trusted = [number for number in range(len(self.touches)) if number not in self.agreement.outliers]
+        excess = load_outcome_model().measure_excess(self.evidence)
+        return tuple(number for number, more in zip(trusted, excess, strict=True) if more > 0)
+
+    def compare_without_prior(self, alone: Localization) -> Localization:
+        """Return this result of a prior, `unexpected` if the touches `alone`, without it, are explained far better."""
+        better = alone.best.imprint_iou > self.best.imprint_iou + LEAST_BETTER
+        return replace(self, unexpected=self.unexpected or better)
 
     @property
     def depths_known(self) -> bool:
@@ -265,74 +299,47 @@ class Localization:
         """Return the probability, 0 to 1, that the first pose is within a tolerance of the true pose.
 
         The tolerance is a text such as "0.5mm,2deg", a `Tolerance`, or by default that of the result. Poses that are
-        equal by symmetry count as equal. A pose that was not refined counts as shifted by about half the grid's
-        spacing. The number may be a limit of the fit: see `state_within`. Raises ConfigError if the text cannot be
-        read.
+        equal by symmetry count as equal. Raises ConfigError if the text cannot be read, and ResultError if the outcome
+        and `config` are unknown.
         """
-        return calibrate(self._find_nearness(tolerance))
-
-    def state_within(self, tolerance: Tolerance | str | None = None) -> float | None:
-        """Return `probability_within`, or None if a limit of the fit decides it, so that it is no probability."""
-        if tolerance is None and self.assessed is not None:
-            return self.assessed.probability_within
-        nearness = self._find_nearness(tolerance)
-        return None if is_limited(nearness) else calibrate(nearness)
-
-    def _find_nearness(self, tolerance: Tolerance | str | None) -> Nearness:
         asked = Tolerance.parse(tolerance) if isinstance(tolerance, str) else tolerance or self.tolerance
-        if asked not in self._nearness:
-            self._nearness[asked] = self.observe_nearness(asked)
-        return self._nearness[asked]
+        if self.outcome is not None and asked == self.tolerance:
+            return self.outcome.right
+        trusted = [view for number, view in enumerate(self.make_views()) if number not in self.agreement.outliers]
+        question = Asked(self.object, asked, contradictory=self.agreement.contradictory)
+        evidence = gather_evidence(trusted, [*self.hypotheses, *self.unlisted], question)
+        return load_outcome_model().predict(evidence).right
 
-    @cached_property
-    def _nearness(self) -> dict[Tolerance, Nearness]:
-        return {}
+    def find_error_quantile_m(self) -> float | None:
+        """Return the least of QUANTILES_M, metres, that the pose error does not exceed with 95 % probability.
 
-    def observe_nearness(self, tolerance: Tolerance) -> Nearness:
-        """Return what the result says about its first pose, from which `probability_within` is computed."""
-        unrefined = np.diag([(0.5 * self.posterior.grid.spacing_m) ** 2 / 3] * 3 + [0.0] * 3)
-        T = np.stack([h.T_sensor_object for h in self.hypotheses])
-        p = np.array([h.probability for h in self.hypotheses])
-        covariances = [unrefined if h.covariance is None else h.covariance for h in self.hypotheses]
-        share = compute_share_within(T, p, covariances, self.object, tolerance)
-        own = compute_share_within(T[:1], np.ones(1), covariances[:1], self.object, tolerance)
-        gap = self._measure_gap(tolerance)
-        undetermined = own < LEAST_OWN or gap <= self.as_well or self.unexpected
-        return Nearness(share, self.posterior.elsewhere, gap, undetermined)
+        Returns None if the error may be greater than all of them, or if it is unknown.
+        """
+        if self.assessed is not None:
+            return self.assessed.error_quantile_m
+        if self.outcome is None or self.config is None:
+            return None
+        return next((m for m in QUANTILES_M if self.probability_within(Tolerance(m)) >= CERTAIN), None)
 
     @property
     def as_well(self) -> float:
         """By how much less imprint IoU a pose can have, 0 to 1, and still explain the touches as well as another."""
         return find_as_well(self.touches)
 
-    def _measure_gap(self, tolerance: Tolerance) -> float:
-        """Return how much more imprint IoU the first pose has than any pose that is not within the tolerance of it.
-
-        A pose that the prior makes less probable counts as if it had less imprint IoU: see NATS_PER_IOU.
-        """
-        known = [*self.hypotheses, *self.unlisted]
-        T = np.stack([h.T_sensor_object for h in known])
-        rivals = ~tolerance.find_within(self.object, T[0], T)
-        unlikely = np.maximum(0.0, known[0].prior_nats - np.array([h.prior_nats for h in known]))
-        ious = np.array([h.imprint_iou for h in known]) - unlikely / NATS_PER_IOU
-        return float(ious[0] - ious[rivals].max(initial=0.0))
-
     @cached_property
     def freedom(self) -> Freedom:
-        """What the touches leave open about the first pose: other poses, slides and turns."""
+        """What the touches leave open about the first pose: other poses, slides and turns.
+
+        If no probe of the first pose explains the touches as well, no small motion does.
+        """
         if self.assessed is not None:
             return self.assessed.freedom
         T = np.stack([h.T_sensor_object for h in self.hypotheses])
-        same = self.tolerance.find_within(self.object, T[0], T)
-        return find_freedom(
-            T,
-            np.array([h.imprint_iou for h in self.hypotheses]),
-            self.best.refined.covariance,
-            self.touch.geometry.gel_middle_m,
-            same,
-            self.tolerance,
-            self.as_well,
-        )
+        ious = np.array([h.imprint_iou for h in self.hypotheses])
+        others = explain_as_well(ious, ious[0], self.as_well) & ~self.tolerance.find_within(self.object, T[0], T)
+        is_open = self.evidence is None or bool((self.evidence.probe_losses <= self.as_well).any())
+        contact_m = self.touch.geometry.gel_middle_m
+        return find_freedom(T, others, self.best.covariance, contact_m, self.object, self.tolerance, is_open=is_open)
 
     @property
     def equal_explanations(self) -> tuple[Hypothesis, ...]:
@@ -349,35 +356,35 @@ class Localization:
         return f"{least}{count} poses explain the {touched} equally well"
 
     def summary(self) -> str:
-        """Return the result in words: the verdict, the first pose in mm and degrees, its freedom, and the next step.
+        """Return the result in words: the verdict, the first pose in mm and degrees, and the next step.
 
-        Other poses and free directions are stated only if the verdict is ambiguous.
+        An ambiguous verdict is followed by what is known and what is open.
         """
         best = self.best
         T, frame = best.T_sensor_object, "sensor's"
         if best.T_base_object is not None:
             T, frame = best.T_base_object, "base"
         first = describe_first(T, len(self.hypotheses), frame)
-        lines = [f"{self.verdict}: {explain_verdict(self.verdict)}", first]
+        lines = [f"{self.verdict}: {self.explain()}", first]
         within = self.describe_within()
         lines.append(", ".join(filter(None, (within, f"imprint IoU {format_percent(best.imprint_iou)}"))))
-        if self.verdict is Verdict.AMBIGUOUS and str(self.freedom):
-            lines.append(f"open: {self.freedom}")
         if step := name_next_step(self.verdict, len(self.touches)):
             lines.append(f"next: {step}")
         return "\n".join(lines)
 
+    def explain(self) -> str:
+        """Return the meaning of the verdict; if it is ambiguous, what is known and what is open."""
+        return (self.verdict is Verdict.AMBIGUOUS and str(self.freedom)) or explain_verdict(self.verdict)
+
     def describe_within(self) -> str:
         """State in words how probable it is that the first pose is right; empty if the verdict makes it misleading."""
-        return describe_within(self.verdict, self.state_within(), self.tolerance)
+        return describe_within(self.verdict, None if self.outcome is None else self.outcome.right, self.tolerance)
 
     def describe_search(self) -> str:
         """State in words the number of scored poses, and the probability that the object is at none of them."""
         count, elsewhere = self.assessment.grid_poses, self.posterior.elsewhere
         if not elsewhere:
             return f"{count} poses searched"
-        if elsewhere >= MOST_ELSEWHERE:
-            return f"{count} poses found, but the true pose is probably elsewhere"
         return f"{count} likely poses found, {format_percent(elsewhere)} probability that the true pose is elsewhere"
 
     def __str__(self) -> str:
@@ -390,12 +397,12 @@ class Localization:
         )
 
     def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
-        """Return each hypothesis's surface distance (K,), metres, to the true pose; None if that pose is unknown."""
+        """Return each hypothesis's pose error (K,), metres; None if the true pose is unknown."""
         T_true = self.touch.T_sensor_object
         if T_true is None:
             return None
         T = np.stack([h.T_sensor_object for h in self.hypotheses])
-        return PoseMetric(obj).symmetric_distance(T, np.broadcast_to(T_true, T.shape))
+        return measure_pose_errors(obj, T, T_true)
 
     @cached_property
     def normalised_entropy(self) -> float:

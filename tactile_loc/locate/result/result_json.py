@@ -23,15 +23,13 @@ from tactile_loc.io.config import TouchConfig
 from tactile_loc.io.json_keys import Key, Keys, read_keys, write_keys
 from tactile_loc.io.streams.records import read_document
 from tactile_loc.locate.probability.conformal import PoseSet
-from tactile_loc.locate.probability.probabilities import MOST_ELSEWHERE
-from tactile_loc.locate.result.assessment import Assessment, SurfaceErrors
+from tactile_loc.locate.result.assessment import Assessment, PoseErrors
 from tactile_loc.locate.result.freedom import Freedom
 from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.result.verdict import Outcome, Verdict
 
 NAME = "result.json"
-SCHEMA_VERSION = 4  # of result.json and result.npz; it increases if a key is removed or gets another meaning
-READ_VERSIONS = (3, SCHEMA_VERSION)  # version 3 differs only in result.npz
+SCHEMA_VERSION = 5  # of result.json and result.npz; it increases if a key is removed or gets another meaning
 AGAIN = "locate the touches again with `tactile-loc run`, which writes both files"
 
 RESULT: Keys = {
@@ -59,8 +57,15 @@ RESULT: Keys = {
     "tolerance": Key("text", "the largest error of a right pose, as in the configuration: 1mm or 0.5mm,2deg"),
     "probability_within": Key(
         "number or null",
-        "probability that the first hypothesis is within the tolerance of the true pose, 0 to 1; null if it is only "
-        "known to be beyond a limit of the fit, such as 0.89 for a pose that the touches leave open",
+        "probability that the first hypothesis is within the tolerance of the true pose, 0 to 1; null if unknown",
+    ),
+    "error_quantile_m": Key(
+        "number or null",
+        "what the pose error of the first hypothesis does not exceed with 95 % probability: 0.3, 0.5, "
+        "1, 2 or 3 mm, in m; null if it may be greater",
+    ),
+    "poor_touches": Key(
+        "numbers", "numbers of the touches, from 0, that the first hypothesis explains worse than right poses do"
     ),
     "unexpected": Key(
         "true or false", "whether the prior makes the first hypothesis very improbable; then it is not certain"
@@ -68,9 +73,7 @@ RESULT: Keys = {
     "freedom": Key("object", "what the touches leave open"),
     "next_step": Key("text", "what to do next, in words; empty if the verdict is certain"),
     "grid_poses": Key("integer", "number of scored poses; with the grid `whole`, of poses that the search found"),
-    "elsewhere": Key(
-        "number", f"probability that the true pose is near none of the scored poses; {MOST_ELSEWHERE} is a limit"
-    ),
+    "elsewhere": Key("number", "probability that no hypothesis is within the tolerance of the true pose"),
     "normalised_entropy": Key(
         "number", "entropy / log(grid_poses): 0 if one pose is certain, 1 if all poses are equally probable"
     ),
@@ -116,7 +119,7 @@ TOUCH: Keys = {
 
 HYPOTHESIS: Keys = {
     "rank": Key("integer", "1 for the most probable hypothesis"),
-    "probability": Key("number", "probability of the hypothesis, with all its grid poses, 0 to 1"),
+    "probability": Key("number", "probability of the hypothesis, 0 to 1"),
     "grid_poses": Key("integer", "number of grid poses that belong to the hypothesis"),
     "T_sensor_object_grid": Key("4 x 4 numbers", "the most probable grid pose of the hypothesis, m"),
     "T_sensor_object": Key("4 x 4 numbers", "the answer: the grid pose after refinement, m"),
@@ -150,13 +153,16 @@ HYPOTHESIS: Keys = {
         "the object frame's origin (m), rotations about the base's x, y, z axes (rad). It includes the errors of the "
         "sensors' poses; null if unknown",
     ),
-    "error_m": Key("number or null", "surface distance to the true pose, m; null if the true pose is unknown"),
+    "error_m": Key(
+        "number or null",
+        "pose error: the largest displacement of any surface point, m; null if the true pose is unknown",
+    ),
 }
 
 POSE_SET: Keys = {
     "coverage": Key("number", "the requested probability, 0 to 1"),
     "poses": Key("integer", "number of hypotheses in the set; they are the listed ones"),
-    "radius_m": Key("number", "a hypothesis counts as the true pose if its surface distance to it is at most this, m"),
+    "radius_m": Key("number", "a hypothesis counts as the true pose if its pose error is at most this, m"),
     "elsewhere": Key(
         "true or false", "whether the set also contains `elsewhere`: the true pose may be none of the poses"
     ),
@@ -175,9 +181,18 @@ ERRORS: Keys = {
 
 FREEDOM: Keys = {
     "others": Key("integer", "number of other hypotheses that explain the touches equally well"),
-    "slide_m": Key("numbers", "largest possible slide along the sensor's x, y, z, m; 0 if small"),
+    "slide_m": Key("numbers", "largest possible slide along the object's x, y, z, m; 0 if small"),
     "turn_rad": Key(
-        "numbers", "largest possible turn in place, a rotation vector about the sensor's x, y, z, rad; 0 if small"
+        "numbers", "largest possible turn in place, a rotation vector about the object's x, y, z, rad; 0 if small"
+    ),
+    "other_turn_rad": Key(
+        "numbers", "rotation vector from the first pose to the most probable other one, in the object's frame, rad"
+    ),
+    "other_shift_m": Key(
+        "numbers", "shift of the object's centroid from the first pose to that one, the same frame, m"
+    ),
+    "contact_std_m": Key(
+        "number or null", "largest standard deviation of the position at the contact, m; null if unknown"
     ),
 }
 
@@ -188,7 +203,7 @@ PARTS: dict[str, tuple[str, Keys]] = {  # the objects in a document, with their 
     "freedom": ("What the touches leave open about the first hypothesis.", FREEDOM),
     "pose_set": ("A set of hypotheses that contains the true pose with a known probability.", POSE_SET),
     "errors": (
-        "Errors: surface distances to the true pose. For a symmetric object, the smallest over its symmetry counts.",
+        "Pose errors: the largest displacement of any surface point, the least over the object's symmetries.",
         ERRORS,
     ),
 }
@@ -198,7 +213,7 @@ def read_result(path: Path) -> dict[str, Any]:
     """Return the document in a result.json. Raises ResultError if the file cannot be used."""
     document = read_document(path)
     version = document.get("schema_version")
-    if version not in READ_VERSIONS:
+    if version != SCHEMA_VERSION:
         raise ResultError(f"{path} has version {version}, but this tactile-loc reads version {SCHEMA_VERSION}; {AGAIN}")
     try:
         return read_keys(RESULT, document)
@@ -249,7 +264,7 @@ def read_agreement(touches: list[Any], contradictory: bool) -> Agreement:
 
 
 def write_hypothesis(rank: int, hypothesis: Hypothesis, error_m: float | None) -> dict[str, Any]:
-    """Return the document of a hypothesis; `error_m`, metres, is its surface distance to the true pose, if known."""
+    """Return the document of a hypothesis; `error_m`, metres, is its pose error, if known."""
     return write_keys(HYPOTHESIS, hypothesis, rank=rank, error_m=error_m)
 
 
@@ -302,14 +317,29 @@ def read_assessment(document: dict[str, Any], kept_probability: float) -> Assess
     freedom, errors = read_keys(FREEDOM, document["freedom"], "freedom"), None
     if document["errors"] is not None:
         closest_m = read_keys(ERRORS, document["errors"], "errors")["closest_in_grid_m"]
-        errors = SurfaceErrors(tuple(one["error_m"] for one in document["hypotheses"]), closest_m)
+        errors = PoseErrors(tuple(one["error_m"] for one in document["hypotheses"]), closest_m)
     return Assessment(
         Verdict(document["verdict"]),
-        document["probability_within"],
-        Freedom(freedom["others"], np.array(freedom["slide_m"]), np.array(freedom["turn_rad"])),
+        read_outcome(document),
+        Freedom(
+            freedom["others"],
+            np.array(freedom["slide_m"]),
+            np.array(freedom["turn_rad"]),
+            np.array(freedom["other_turn_rad"]),
+            np.array(freedom["other_shift_m"]),
+            freedom["contact_std_m"],
+        ),
         document["next_step"],
         document["grid_poses"],
         document["entropy_nats"],
         kept_probability,
         errors,
+        tuple(document["poor_touches"]),
+        document["error_quantile_m"],
     )
+
+
+def read_outcome(document: dict[str, Any]) -> Outcome | None:
+    """Return the outcome in a result's document; None if it is unknown."""
+    right, missed = document["probability_within"], document["elsewhere"]
+    return None if right is None else Outcome(right, max(0.0, 1 - right - missed), missed)

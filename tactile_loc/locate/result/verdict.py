@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
 from enum import StrEnum
 
 from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.io.options import CERTAIN
 
-LEAST_IOU = 0.5  # imprint IoU of one touch: below it, 1 of 83 simulated touches had the right pose
 MOSTLY_ELSEWHERE = 0.5  # a greater probability of "elsewhere" means that the pose was not found
 
 
@@ -21,6 +20,18 @@ class Verdict(StrEnum):
     POOR_FIT = "poor fit"
     NOT_FOUND = "not found"
     NO_CONTACT = "no contact"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The probabilities, 0 to 1, that the first pose is `right`, that `another` pose found is, and that none is.
+
+    Right is within the tolerance of the true pose.
+    """
+
+    right: float
+    another: float
+    missed: float
 
 
 NEXT_STEPS = {
@@ -63,40 +74,29 @@ def name_next_step(verdict: Verdict, touches: int) -> str:
 def describe_within(verdict: Verdict | None, probability: float | None, tolerance: Tolerance) -> str:
     """Return in words how probable it is that the first pose is within the tolerance.
 
-    `probability`, 0 to 1, is None if it is unknown. Returns an empty text if it is unknown and the verdict is not
-    certain, or if the verdict makes it misleading.
+    `probability`, 0 to 1, is None if it is unknown. Returns an empty text then, and if the verdict makes it misleading.
     """
-    if verdict is not None and verdict not in STATES_PROBABILITY:
+    if probability is None or (verdict is not None and verdict not in STATES_PROBABILITY):
         return ""
-    if probability is None and verdict is not Verdict.CERTAIN:
-        return ""
-    stated = f"at least {format_percent(CERTAIN)}" if probability is None else format_percent(probability)
-    return f"within {tolerance.describe()} with {stated} probability"
+    return f"within {tolerance.describe()} with {format_percent(probability)} probability"
 
 
 def judge(
-    probability: float | None,
-    imprint_iou: float = math.nan,
-    elsewhere: float = 0.0,
-    *,
-    touched: bool = True,
-    certain: float = CERTAIN,
-    least_iou: float = LEAST_IOU,
-    depths_known: bool = True,
+    outcome: Outcome | None, *, touched: bool = True, sure: bool = True, poor: bool = False, least: float = CERTAIN
 ) -> Verdict:
     """Return the verdict on the first pose.
 
-    `probability`, 0 to 1, is that the first pose is right; None if there is no pose. `imprint_iou`, 0 to 1, states how
-    well the first pose explains the touch; NaN if unknown. `elsewhere`, 0 to 1, is the probability that the search
-    missed the true pose. `touched` states whether there is a touch. A pose is certain if its probability is at least
-    `certain`, and if the depths of all touches are known. A pose is a poor fit if its imprint IoU is below `least_iou`.
+    The `outcome` has the probability that the first pose is right; None if there is no pose. `touched` states
+    whether there is a touch. The pose is a `poor` fit if it explains a touch worse than right poses do. Otherwise,
+    it is certain if its probability is at least `least`, unless something makes it un`sure`, such as a touch
+    without depths.
     """
     if not touched:
         return Verdict.NO_CONTACT
-    if probability is None:
+    if outcome is None:
         return Verdict.NOT_FOUND
-    if imprint_iou < least_iou:  # False for NaN
+    if poor:
         return Verdict.POOR_FIT
-    if probability >= certain and depths_known:
+    if sure and outcome.right >= least:
         return Verdict.CERTAIN
-    return Verdict.NOT_FOUND if elsewhere > MOSTLY_ELSEWHERE else Verdict.AMBIGUOUS
+    return Verdict.NOT_FOUND if outcome.missed > MOSTLY_ELSEWHERE else Verdict.AMBIGUOUS

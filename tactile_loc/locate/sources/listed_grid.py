@@ -7,26 +7,30 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.bases.exact_matcher import ExactMatcher
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.core.runtime.progress import NOTE, Progress, StageTimes, rank
 from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import propose_together, split_modes
-from tactile_loc.locate.probability.probabilities import plan_listed_fit
+from tactile_loc.locate.probability import temperature
+from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.sources.scoring import GridScores, Scores
 from tactile_loc.locate.sources.source import STAGE_VERSIONS, PoseSource, Scored, Values
 from tactile_loc.simulate.contact_poses import make_contact_grid, mark_contact
 from tactile_loc.simulate.listed_training import ListedProblem
+from tactile_loc.simulate.touch_simulation import simulate_touches
 from tactile_loc.slots.encoder import Checkpoints, Encoder, TrainingProblem
 from tactile_loc.slots.grid import GridSampler
 from tactile_loc.slots.matcher import Matcher
@@ -263,7 +267,13 @@ class ListedSource(PoseSource):
     """Poses listed by a grid, whose contact shapes are rendered and encoded only once."""
 
     all_stages = ("grid", "shapes", "encoder", "bank")
-    plan_fit = staticmethod(plan_listed_fit)
+    may_miss = False
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages of the store that the source builds, the first ones first."""
+        fits = self.setup.config.temperature is None and self.setup.encoder.capabilities.temperature is None
+        return (*super().stages, *((temperature.STAGE,) if fits else ()))
 
     @cached_property
     def model(self) -> ObjectPoseModel:
@@ -330,6 +340,44 @@ class ListedSource(PoseSource):
         posterior = scored.alone[number]
         listed = posterior.top(self.setup.config.hypotheses.listed)
         return PoseGrid(posterior.grid.T_sensor_object[listed], posterior.grid.metric), posterior.log_p[listed]
+
+    def find_scaling(self) -> TemperatureScaling:
+        """Return the scaling that the encoder ships, or one fitted to simulated touches of the object and stored."""
+        shipped = self.setup.encoder.capabilities.temperature
+        if shipped is not None:
+            return TemperatureScaling(*shipped)
+        artifact = self.setup.store.build(self.temperature_key(), self._fit_temperature)
+        return TemperatureScaling(**artifact.load_json(temperature.STAGE))
+
+    def temperature_key(self) -> StageKey:
+        """Return the store key of the fitted scaling, made from all inputs of the fit."""
+        touches = {"noise": temperature.TOUCH_NOISE.describe(), "touches": temperature.TOUCHES}
+        inputs = {**self.describe_scores(), "sampler": self.setup.sampler.describe(), **touches}
+        inputs |= {"batch": temperature.BATCH, "seed": temperature.SEED}
+        return StageKey(temperature.STAGE, temperature.STAGE_VERSION, inputs)
+
+    def _fit_temperature(self, work: Workspace) -> None:
+        """Score simulated touches, and save the scaling that makes their true poses most probable."""
+        sampler, scene, noise = self.setup.sampler, self.setup.scene, temperature.TOUCH_NOISE
+        drawn = (
+            touch
+            for seed, count in temperature.list_batches()
+            for touch in simulate_touches(sampler, scene, count, np.random.default_rng(seed), noise=noise)
+        )
+        scores, truth = [], []
+        with self.setup.progress.task("fitting probabilities", temperature.TOUCHES) as advance:
+            exact = ListedSource(self.setup, ExactMatcher)  # other matchers may leave out the true pose
+            for found, index in map_in_threads(exact.score_truth, drawn):
+                scores.append(found)
+                truth.append(index)
+                advance(1)
+        fitted = temperature.fit_temperature_scaling(scores, np.array(truth))
+        work.save_json(temperature.STAGE, asdict(fitted))
+
+    def score_truth(self, touch: Touch) -> tuple[Scores, int]:
+        """Return the scores of a simulated touch, and the index of the pose nearest to its true pose."""
+        ((grid, found),) = self.score([touch], StageTimes())
+        return found, int(grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0])
 
     def describe(self) -> dict[str, Any]:
         """Return all inputs of the scores except sensor and touch, as JSON values; trains the encoder if necessary."""

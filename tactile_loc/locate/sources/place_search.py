@@ -27,15 +27,13 @@ from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.runtime.turns import pause_before
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import compute_imprint_ious
-from tactile_loc.locate.probability.nearness import NATS_PER_IOU
+from tactile_loc.locate.hypotheses import NATS_PER_IOU, compute_imprint_ious
 from tactile_loc.locate.sources.scoring import GridScores, NewMatcher, Scores
 from tactile_loc.locate.sources.source import Rated, SourceSetup
 from tactile_loc.locate.sources.stored_places import PlaceBanks
 from tactile_loc.slots.encoder import Encoder
 
 SEARCH_VERSION = 9
-FOUND = 1 / 3  # share of the grid spacing; from farther away, refinement seldom reaches the true pose
 ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point, and the distance between them
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
@@ -63,7 +61,7 @@ class PlaceSearch:
         grid_options = setup.sampler.options
         self.metric, spacing_m = setup.metric, 1e-3 * grid_options.spacing_mm
         # the least distance between starts, and the largest distance at which the true pose counts as found
-        self.radius_m, self.found_m = 0.5 * spacing_m, FOUND * spacing_m
+        self.radius_m = 0.5 * spacing_m
         self.spread_m = SPREAD * spacing_m  # the same for half of the poses moved to several touches
         self.yaws_rad = 2 * np.pi * np.arange(grid_options.turns) / grid_options.turns
         # poses proposed for touches that still exist; more touches are often located together with earlier ones

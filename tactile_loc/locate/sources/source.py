@@ -22,13 +22,11 @@ from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.progress import Progress, StageTimes
-from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.probability.probabilities import AnyScalings, FitPlan
+from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.sources.scoring import NewMatcher, Scores
-from tactile_loc.simulate.touch_simulation import simulate_touches
 from tactile_loc.slots.encoder import Encoder
 from tactile_loc.slots.grid import GridSampler
 from tactile_loc.store.store import StageStore
@@ -60,10 +58,6 @@ class SourceSetup:
         coarse = self.scene.geometry.resize_long_side(self.config.shape_px)
         return replace(self.scene, geometry=coarse.press(coarse.max_depth_m))
 
-    def simulate(self, count: int, seed: int, noise: TouchNoise) -> list[Touch]:
-        """Simulate touches with known poses, to fit probabilities."""
-        return simulate_touches(self.sampler, self.scene, count, np.random.default_rng(seed), noise=noise)
-
     @cached_property
     def metric(self) -> PoseMetric:
         """The distance between two poses of the object."""
@@ -90,27 +84,23 @@ class SourceSetup:
 class Scored:
     """Each touch's own posterior, over poses in the frame of its own sensor.
 
-    If all touches were searched together, `best`, 0 to 1, is the greatest mean imprint IoU of any pose, and `matched`
-    are the rotated places most similar to each touch, with their scores. Otherwise, `best` is 1.
+    If all touches were searched together, `matched` are the rotated places most similar to each touch, with their
+    scores.
     """
 
     alone: Sequence[PosePosterior]
-    best: float = 1.0
     matched: Sequence[Rated] = ()
 
 
 class PoseSource(ABC):
     """Scores poses for touches of one object by one sensor.
 
-    `all_stages` are the stages of the store that it builds with a trained encoder.
+    `all_stages` are the stages of the store that it builds with a trained encoder. `may_miss` states whether the true
+    pose may be near none of the poses that it scores.
     """
 
     all_stages: ClassVar[tuple[str, ...]]
-
-    @property
-    def found_m(self) -> float:
-        """The largest distance, metres, at which a true pose counts as found."""
-        return np.inf
+    may_miss: ClassVar[bool]
 
     def __init__(self, setup: SourceSetup, new_matcher: NewMatcher) -> None:
         self.setup, self.new_matcher = setup, new_matcher
@@ -137,26 +127,31 @@ class PoseSource(ABC):
         """
 
     def search(
-        self,
-        views: Sequence[View],
-        sources: Sequence[PoseSource],
-        scalings: Sequence[AnyScalings],
-        times: StageTimes,
-        prior: Prior | None = None,
+        self, views: Sequence[View], sources: Sequence[PoseSource], times: StageTimes, prior: Prior | None = None
     ) -> Scored:
         """Return the posteriors of one touch, or of several touches of one object.
 
-        `sources` and `scalings` are those of each touch's sensor, this source first. The `prior` is over poses in the
+        `sources` are those of each touch's sensor, this source first. The `prior` is over poses in the
         first touch's sensor frame. Adds stage durations to `times`. Raises ConfigError if some sources list poses and
         others search them.
         """
         require_one_kind(sources)
         alone = []
-        for view, source, scaling in zip(views, sources, scalings, strict=True):
-            fitted = scaling.temperature_scaling  # fitted first, with its own progress
+        for view, source in zip(views, sources, strict=True):
+            scaling = source.temperature_scaling  # perhaps fitted first, with its own progress
             ((grid, scores),) = source.score([view.touch], times, prior)
-            alone.append(fitted.posterior(grid, scores))
+            alone.append(scaling.posterior(grid, scores))
         return Scored(alone)
+
+    @cached_property
+    def temperature_scaling(self) -> TemperatureScaling:
+        """The scaling from scores to probabilities: with the user's temperature, or else the source's own."""
+        given = self.setup.config.temperature
+        return self.find_scaling() if given is None else TemperatureScaling(given)
+
+    @abstractmethod
+    def find_scaling(self) -> TemperatureScaling:
+        """Return the source's own scaling from scores to probabilities."""
 
     @abstractmethod
     def propose(
@@ -179,16 +174,6 @@ class PoseSource(ABC):
     ) -> Sequence[Mode]:
         """Return the modes worth refining against `trusted` touches, given their coarse mean imprint IoUs (K,)."""
         return modes
-
-    def find_truth(self, grid: PoseGrid, touch: Touch) -> int:
-        """Return the index of the grid pose nearest to a touch's true pose; -1 if the search found none near it."""
-        (distance_m,), (index,) = grid.nearest(np.asarray(touch.T_sensor_object)[None])
-        return -1 if distance_m > self.found_m else int(index)
-
-    @staticmethod
-    @abstractmethod
-    def plan_fit() -> FitPlan:
-        """Return the plan of the simulated touches to which probabilities are fitted."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:

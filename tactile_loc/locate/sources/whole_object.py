@@ -7,7 +7,7 @@ are registered to all touches.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -28,7 +28,7 @@ from tactile_loc.core.sensing.clouds import make_contact_cloud, make_outline_clo
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import DOUBT, choose_best_apart, compare_where_seen, compute_imprint_ious
-from tactile_loc.locate.probability.probabilities import AnyScalings, plan_search_fit
+from tactile_loc.locate.probability.temperature import SEARCHED, TemperatureScaling
 from tactile_loc.locate.sources.place_search import MOST_UNEXPLAINED, PlaceSearch
 from tactile_loc.locate.sources.scoring import Scores
 from tactile_loc.locate.sources.source import PoseSource, Rated, Scored, Values, require_one_kind
@@ -51,7 +51,7 @@ class WholeObjectSource(PoseSource):
     """Poses from a search of all places of the object."""
 
     all_stages = ("places", "encoder")
-    plan_fit = staticmethod(plan_search_fit)
+    may_miss = True
 
     @cached_property
     def banks(self) -> PlaceBanks:
@@ -80,19 +80,14 @@ class WholeObjectSource(PoseSource):
         return [self.place_search.score(touch, times, prior) for touch in touches]
 
     def search(
-        self,
-        views: Sequence[View],
-        sources: Sequence[PoseSource],
-        scalings: Sequence[AnyScalings],
-        times: StageTimes,
-        prior: Prior | None = None,
+        self, views: Sequence[View], sources: Sequence[PoseSource], times: StageTimes, prior: Prior | None = None
     ) -> Scored:
         """Search with one touch, or with all touches together: see `PoseSource`."""
         if len(views) == 1:
-            return super().search(views, sources, scalings, times, prior)
+            return super().search(views, sources, times, prior)
         require_one_kind(sources)
         searches = [source.place_search for source in sources if isinstance(source, WholeObjectSource)]
-        return search_together(views, searches, times, prior).rate(views, scalings, self.place_search.metric)
+        return search_together(views, searches, times, prior).rate(views, sources, self.place_search.metric)
 
     def propose(
         self, views: Sequence[View], scored: Scored, fused: PosePosterior, prior: Prior | None, top: int
@@ -129,10 +124,9 @@ class WholeObjectSource(PoseSource):
             ious = compute_imprint_ious(trusted, poses, options.image_px, self.setup.start_radius_m).mean(axis=1)
         return modes if ious.max() >= UNPROMISING else [modes[int(ious.argmax())]]
 
-    @property
-    def found_m(self) -> float:
-        """The largest distance, metres, at which a true pose counts as found."""
-        return self.place_search.found_m
+    def find_scaling(self) -> TemperatureScaling:
+        """Return the shipped scaling from imprint IoUs to probabilities."""
+        return SEARCHED
 
     def describe(self) -> dict[str, Any]:
         """Return all inputs of the scores except sensor and touch, as JSON values; trains the encoder if necessary."""
@@ -181,15 +175,13 @@ class FoundTogether:
     ious: NDArray[np.float64]
     matched: Sequence[Rated]
 
-    def rate(self, views: Sequence[View], scalings: Sequence[AnyScalings], metric: PoseMetric) -> Scored:
-        """Return each touch's posterior over the poses, in its own sensor frame, with its own scaling."""
-        best = float(self.ious.mean(axis=1).max())
-        elsewhere = scalings[0].fused_scaling.elsewhere(best, len(views))
+    def rate(self, views: Sequence[View], sources: Sequence[PoseSource], metric: PoseMetric) -> Scored:
+        """Return each touch's posterior over the poses, in its own sensor frame, with its source's scaling."""
         alone = []
-        for view, scaling, ious in zip(views, scalings, self.ious.T, strict=True):
+        for view, source, ious in zip(views, sources, self.ious.T, strict=True):
             grid = PoseGrid(view.T_sensor_first @ self.T_first_object, metric)
-            alone.append(replace(scaling.temperature_scaling.posterior(grid, ious), elsewhere=elsewhere))
-        return Scored(alone, best, self.matched)
+            alone.append(source.temperature_scaling.posterior(grid, ious))
+        return Scored(alone, self.matched)
 
 
 def search_together(

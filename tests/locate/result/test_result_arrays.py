@@ -91,7 +91,7 @@ def test_a_truncated_altered_or_pickled_file_gives_a_one_sentence_error(copy, da
 @pytest.mark.parametrize("version", [None, np.array(99), np.array("old")])
 def test_another_version_of_the_arrays_gives_a_one_sentence_error(copy, version):
     resave(copy, schema_version=version)
-    with pytest.raises(ResultError, match=naming("result.npz", f"version {version}", "version 4")):
+    with pytest.raises(ResultError, match=naming("result.npz", f"version {version}", "version 5")):
         Localization.load(copy)
 
 

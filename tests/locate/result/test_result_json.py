@@ -8,16 +8,16 @@ from datetime import datetime
 
 import numpy as np
 import pytest
-from message_helpers import naming
+from message_helpers import missing, naming
 
 from tactile_loc import __version__
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.geometry.rigid import transform_points
 from tactile_loc.core.runtime.errors import ConfigError, ResultError
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.json_keys import read_keys
 from tactile_loc.io.streams.records import read_document, read_versions
 from tactile_loc.locate.probability.conformal import PoseSet
-from tactile_loc.locate.result.doubts import list_doubts
+from tactile_loc.locate.result.doubts import list_doubts, name_likely_cause
 from tactile_loc.locate.result.hypothesis import Agreement
 from tactile_loc.locate.result.result_json import (
     ERRORS,
@@ -30,6 +30,7 @@ from tactile_loc.locate.result.result_json import (
     TOUCH,
     read_result,
 )
+from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.slots.registry import SLOTS
 
 
@@ -57,18 +58,24 @@ def test_the_document_holds_the_hypotheses_of_the_localisation(document, localiz
         assert written["probability"] == found.probability
         assert (written["contact_iou"], written["converged"]) == (found.refined.contact_iou, found.refined.converged)
     assert document["grid_poses"] == len(localization.posterior.grid)
+    assert document["probability_within"] == localization.outcome.right
+    assert (document["elsewhere"], document["poor_touches"]) == (localization.posterior.elsewhere, [])
     assert document["normalised_entropy"] == pytest.approx(document["entropy_nats"] / np.log(document["grid_poses"]))
     assert document["seconds"]["model"] == 1.5
     assert {"encode", "match", "refine"} <= document["seconds"].keys()
 
 
-def test_errors_equal_the_distances_to_the_truth(document, localizer, localization):
-    metric, T_true = PoseMetric(localizer.object), localization.touch.T_sensor_object
-    poses = [np.array(h["T_sensor_object"]) for h in document["hypotheses"]]
-    expected = [metric.symmetric_distance(T[None], T_true[None])[0] for T in poses]
+def test_errors_are_pose_errors(document, localizer, localization):
+    T_true, corners_m = localization.touch.T_sensor_object, localizer.object.mesh.vertices_m
+    same = transform_points(T_true @ localizer.object.symmetry.list_elements(), corners_m)
+
+    def measure(T):
+        return np.linalg.norm(transform_points(np.array(T), corners_m) - same, axis=-1).max(axis=1).min()
+
+    expected = [measure(h["T_sensor_object"]) for h in document["hypotheses"]]
     assert [h["error_m"] for h in document["hypotheses"]] == pytest.approx(expected)
-    grid = localization.posterior.grid.T_sensor_object
-    closest = metric.symmetric_distance(grid, np.broadcast_to(T_true, grid.shape)).min()
+    grid = localization.posterior.grid
+    closest = measure(grid.T_sensor_object[grid.nearest(T_true[None])[1][0]])
     best = {"best_m": expected[0], "best_listed_m": min(expected), "closest_in_grid_m": closest}
     assert document["errors"] == pytest.approx(best, abs=1e-6)
 
@@ -133,7 +140,7 @@ def test_the_document_holds_versions_the_time_and_the_object(document, localizer
         ({"normalised_entropy": "much"}, "normalised_entropy"),
         ({"unknown": 1}, "unknown"),
         ({"schema_version": 7}, "version 7"),
-        ({"schema_version": 2}, "version 2"),
+        ({"schema_version": 4}, "version 4"),
     ],
 )
 def test_a_damaged_or_older_document_gives_a_one_sentence_error(document, tmp_path, change, named):
@@ -149,28 +156,70 @@ def test_a_file_without_a_document_gives_a_one_sentence_error(tmp_path, text, ki
         read_document(tmp_path / "result.json")
 
 
-@pytest.mark.parametrize(("iou", "doubted"), [(0.49, True), (0.5, False)])
-def test_a_touch_that_a_refined_pose_hardly_explains_causes_a_doubt(localization, iou, doubted):
-    best = dataclasses.replace(localization.best, imprint_iou=iou)
-    said = list_doubts(dataclasses.replace(localization, hypotheses=(best,)))
-    assert len(said) == doubted
-    assert all("49 %" in sentence and localization.touch.name in sentence for sentence in said)
-    refined = dataclasses.replace(localization.best.refined, T_sensor_object=localization.best.T_sensor_object_grid)
-    unrefined = dataclasses.replace(best, imprint_iou=0.1, refined=refined)
-    assert list_doubts(dataclasses.replace(localization, hypotheses=(unrefined,))) == []
-
-
-def test_touches_that_the_first_pose_explains_not_at_all_are_named_once(localization):
-    (said,) = list_doubts(explain_several(localization, (0.9, 0.0, 0.8, 0.04)))
-    assert "touch-1, touch-3" in said
-    assert all(name not in said for name in ("touch-0", "touch-2"))
-    assert list_doubts(explain_several(localization, (0.9, 0.06, 0.8))) == []
-    (said,) = list_doubts(explain_several(localization, (0.9, 0.0, 0.8), outliers=(1,)))
-    assert "2 of 3 touches agree" in said
-
-
-def explain_several(localization, ious, outliers=()):
+def doubt(localization, *, poor=(), ious=(0.8,), press_m=0.0, **changes):
+    """The doubts about a result of touches 0, 1, ..., some of which the first pose explains poorly."""
     touch, *others = (dataclasses.replace(localization.touch, name=f"touch-{k}") for k in range(len(ious)))
     best = dataclasses.replace(localization.best, imprint_ious=ious, imprint_iou=float(np.mean(ious)))
-    agreement = Agreement((0.9,) * len(ious), outliers, bool(outliers))
-    return dataclasses.replace(localization, touch=touch, others=tuple(others), hypotheses=(best,), agreement=agreement)
+    assessed = dataclasses.replace(localization.assessment, poor_touches=poor)
+    evidence = dataclasses.replace(localization.evidence, press_m=np.full(len(ious), press_m))
+    found = {"touch": touch, "others": tuple(others), "hypotheses": (best,), "assessed": assessed, "evidence": evidence}
+    return list_doubts(dataclasses.replace(localization, **found, **changes))
+
+
+def agree(*best_ious, outliers=(), contradictory=False):
+    return {"agreement": Agreement(best_ious, outliers, contradictory)}
+
+
+def test_a_result_without_poor_touches_causes_no_doubt(localization):
+    assert list_doubts(localization) == doubt(localization, press_m=1e-3) == []
+
+
+@pytest.mark.parametrize(
+    ("ious", "poor", "changes", "cause"),
+    [
+        ((0.41,), (0,), {}, ("object", "sensor", "unit", "press")),
+        ((0.41,), (0,), {"press_m": 4e-4}, ("press", "deeper")),
+        ((0.41,), (0,), {"press_m": -4e-4}, ("press", "lighter")),
+        ((0.9, 0.41), (1,), agree(0.9, 0.9), ("moved", "T_base_sensor")),
+        ((0.9, 0.41), (1,), agree(0.9, 0.45), ("T_base_sensor", "object", "unit")),
+        ((0.9, 0.41), (1,), agree(0.9, 0.9) | {"press_m": 4e-4}, ("press", "deeper")),
+    ],
+)
+def test_touches_that_the_first_pose_explains_poorly_are_named_with_the_likely_cause(
+    localization, ious, poor, changes, cause
+):
+    (said,) = doubt(localization, ious=ious, poor=poor, **changes)
+    assert not missing(said, f"touch-{poor[0]}", "41 %", *cause)
+    assert "90 %" not in said
+
+
+def test_a_press_is_named_only_if_all_touches_show_it_clearly(localization):
+    (small,) = doubt(localization, poor=(0,), press_m=1e-5)
+    mixed = dataclasses.replace(localization.evidence, press_m=np.array([4e-4, -4e-4]))
+    assert "mm more" not in small
+    assert name_likely_cause(dataclasses.replace(localization, evidence=mixed)) == name_likely_cause(localization)
+
+
+def test_a_prior_that_contradicts_the_touches_is_named(localization):
+    alone = dataclasses.replace(localization, hypotheses=(dataclasses.replace(localization.best, imprint_iou=0.95),))
+    near, far = (
+        dataclasses.replace(alone, hypotheses=(dataclasses.replace(alone.best, imprint_iou=iou),)) for iou in (0.9, 0.6)
+    )
+    assert not near.compare_without_prior(alone).unexpected
+    found = far.compare_without_prior(alone)
+    assert found.unexpected
+    assert "prior" in list_doubts(found)[0]
+    assert found.verdict is not Verdict.CERTAIN
+    said = doubt(localization, poor=(0,), press_m=4e-4, unexpected=True)
+    assert len(said) == 2
+    assert all("prior" in sentence and "mm more" not in sentence for sentence in said)
+
+
+def test_touches_that_contradict_the_others_are_named(localization):
+    (said,) = doubt(localization, ious=(0.9, 0.0, 0.8), **agree(0.9, 0.7, 0.9, outliers=(1,), contradictory=True))
+    assert not missing(said, "2 of 3", "touch-1 0 %", "70 %", "T_base_sensor")
+    (said,) = doubt(localization, ious=(0.9, 0.0), **agree(0.9, 0.7, contradictory=True))
+    assert not missing(said, "touch-0", "touch-1", "T_base_sensor")
+    left = (dataclasses.replace(localization.touch, name="touch-9"),)
+    (said,) = doubt(localization, left_out=left)
+    assert "touch-9" in said

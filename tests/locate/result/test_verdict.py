@@ -6,144 +6,126 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from locate_helpers import draw_examples, locate_together
 
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.core.runtime.formatting import format_percent
+from tactile_loc.io.config import RunConfig
 from tactile_loc.io.options import CERTAIN
-from tactile_loc.locate.probability.nearness import MOST_UNDETERMINED
-from tactile_loc.locate.probability.probabilities import MOST_ELSEWHERE
-from tactile_loc.locate.result.localization import Agreement
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result.localization import QUANTILES_M, Agreement, Localization
 from tactile_loc.locate.result.verdict import (
     CHECK_SENSOR_POSES,
-    LEAST_IOU,
     MEANINGS,
     MOSTLY_ELSEWHERE,
     NEXT_STEPS,
+    Outcome,
     Verdict,
     judge,
     name_next_step,
 )
 from tactile_loc.planning.next_step import suggest_next_step
 
+SENSOR = {"name": "gelsight-mini", "gel": "rigid"}
+RIGHT, OPEN, MISSED = Outcome(0.97, 0.02, 0.01), Outcome(0.6, 0.3, 0.1), Outcome(0.1, 0.2, 0.7)
+
 
 @pytest.mark.parametrize(
-    ("probability", "imprint_iou", "elsewhere", "expected"),
+    ("outcome", "doubts", "expected"),
     [
-        (CERTAIN, 0.8, 0.1, Verdict.CERTAIN),
-        (CERTAIN - 0.01, 0.8, 0.1, Verdict.AMBIGUOUS),
-        (1.0, LEAST_IOU, 0.0, Verdict.CERTAIN),
-        (1.0, LEAST_IOU - 0.01, 0.0, Verdict.POOR_FIT),
-        (0.1, LEAST_IOU - 0.01, 0.8, Verdict.POOR_FIT),
-        (0.4, 0.8, MOSTLY_ELSEWHERE, Verdict.AMBIGUOUS),
-        (0.4, 0.8, MOSTLY_ELSEWHERE + 0.01, Verdict.NOT_FOUND),
-        (None, np.nan, 0.0, Verdict.NOT_FOUND),
-        (CERTAIN, np.nan, 0.0, Verdict.CERTAIN),
+        (Outcome(CERTAIN, 0.05, 0.0), {}, Verdict.CERTAIN),
+        (Outcome(CERTAIN - 0.01, 0.06, 0.0), {}, Verdict.AMBIGUOUS),
+        (Outcome(CERTAIN - 0.01, 0.06, 0.0), {"least": 0.9}, Verdict.CERTAIN),
+        (RIGHT, {"least": 0.99}, Verdict.AMBIGUOUS),
+        (RIGHT, {"sure": False}, Verdict.AMBIGUOUS),
+        (RIGHT, {"poor": True}, Verdict.POOR_FIT),
+        (MISSED, {"poor": True}, Verdict.POOR_FIT),
+        (MISSED, {}, Verdict.NOT_FOUND),
+        (Outcome(0.3, 0.7 - MOSTLY_ELSEWHERE, MOSTLY_ELSEWHERE), {}, Verdict.AMBIGUOUS),
+        (Outcome(0.1, 0.9, 0.0), {}, Verdict.AMBIGUOUS),
+        (None, {"poor": True}, Verdict.NOT_FOUND),
     ],
 )
-def test_the_first_matching_rule_gives_the_verdict(probability, imprint_iou, elsewhere, expected):
-    assert judge(probability, imprint_iou, elsewhere) is expected
-    assert judge(probability, imprint_iou, elsewhere, touched=False) is Verdict.NO_CONTACT
-    assert judge(0.6, 0.3, certain=0.5, least_iou=0.25) is Verdict.CERTAIN, "the caller sets the thresholds"
+def test_the_first_matching_rule_gives_the_verdict(outcome, doubts, expected):
+    assert judge(outcome, **doubts) is expected
+    assert judge(outcome, **doubts, touched=False) is Verdict.NO_CONTACT
 
 
 def test_every_verdict_has_a_meaning():
-    assert set(MEANINGS) == set(Verdict)
+    assert set(MEANINGS) == set(NEXT_STEPS) == set(Verdict)
     assert {str(one) for one in Verdict} == {"certain", "ambiguous", "poor fit", "not found", "no contact"}
 
 
-def changed(localization, **changes):
-    """A localisation with another first hypothesis, and with no other hypothesis that explains the touch."""
-    best = replace(localization.best, **changes)
-    others = tuple(replace(h, imprint_iou=0.1) for h in localization.hypotheses[1:])
-    return replace(localization, hypotheses=(best, *others), unlisted=())
+def explain_poorly(found):
+    """The same result, whose first pose leaves e^9 times as much of the touch unexplained."""
+    return replace(found, evidence=replace(found.evidence, fits=found.evidence.fits + 9.0 * (np.arange(9) == 0)))
 
 
-def tolerate(localization, tolerance):
-    return replace(localization, config=localization.config.model_copy(update={"tolerance": tolerance}))
+@pytest.fixture(scope="module")
+def certain(localization):
+    """The result with a first pose that is probably right, and the evidence of one that explains the touch."""
+    perfect = np.array([[-5.0, *localization.evidence.fits[0, 1:]]])
+    return replace(localization, outcome=RIGHT, evidence=replace(localization.evidence, fits=perfect))
 
 
-def moved(localization):
-    """The pose that a refiner found, slightly away from the grid pose."""
-    T = localization.best.T_sensor_object_grid.copy()
-    T[0, 3] += 1e-5
-    return RefinedPose(T, 1.0, True, 1, covariance=1e-10 * np.eye(6))
+def test_a_result_is_judged_by_its_outcome_and_by_what_its_first_pose_leaves_unexplained(certain):
+    assert certain.verdict is Verdict.CERTAIN
+    assert replace(certain, outcome=OPEN).verdict is Verdict.AMBIGUOUS
+    assert replace(certain, outcome=MISSED).verdict is Verdict.NOT_FOUND
+    assert replace(certain, outcome=None).verdict is Verdict.NOT_FOUND
+    strict = replace(certain, config=certain.config.model_copy(update={"confidence": 0.99}))
+    assert strict.verdict is Verdict.AMBIGUOUS
+    poor = explain_poorly(certain)
+    assert (poor.poor_touches, poor.verdict) == ((0,), Verdict.POOR_FIT)
+    assert poor.assessment.poor_touches == (0,)
+    grid_pose = RefinedPose(certain.best.T_sensor_object_grid, 1.0, True, 0)
+    unrefined = replace(poor, hypotheses=(replace(certain.best, refined=grid_pose),))
+    assert (unrefined.poor_touches, unrefined.verdict) == ((), Verdict.CERTAIN), "its imprint means little"
+    assert replace(certain, unexpected=True).verdict is Verdict.AMBIGUOUS
 
 
-def test_a_result_is_judged_by_its_first_hypothesis(localization):
-    refined = moved(localization)
-    one = changed(localization, probability=0.95, imprint_iou=0.8, refined=refined)
-    assert one.verdict is Verdict.CERTAIN
-    assert changed(one, probability=0.5).verdict is Verdict.AMBIGUOUS
-    assert changed(one, imprint_iou=0.3).verdict is Verdict.POOR_FIT
-    assert tolerate(one, Tolerance(1e-6)).verdict is Verdict.AMBIGUOUS
-    elsewhere = changed(one, probability=0.05)
-    elsewhere = replace(elsewhere, posterior=replace(one.posterior, elsewhere=0.7))
-    assert elsewhere.verdict is Verdict.NOT_FOUND
-
-
-def test_a_first_pose_with_a_rival_is_ambiguous_even_if_the_rival_is_not_listed(localization):
-    one = changed(localization, probability=0.95, imprint_iou=0.8, refined=moved(localization))
-    shift = np.eye(4)
-    shift[0, 3] = 0.02
-    rival = replace(
-        one.best, probability=0.0, refined=replace(one.best.refined, T_sensor_object=shift @ one.best.T_sensor_object)
-    )
-    assert replace(one, unlisted=(rival,)).verdict is Verdict.AMBIGUOUS
-    assert replace(one, unlisted=(replace(rival, imprint_iou=0.7),)).verdict is Verdict.CERTAIN
-    assert replace(one, unlisted=(one.best,)).verdict is Verdict.CERTAIN
-    unlikely = replace(one, unlisted=(replace(rival, prior_nats=-20.0),))
-    assert unlikely.verdict is Verdict.CERTAIN, "the prior excludes the rival"
-    assert replace(one, unlisted=(replace(rival, prior_nats=20.0),)).verdict is Verdict.AMBIGUOUS
-
-
-@pytest.mark.parametrize(("std_m", "expected"), [(3e-4, Verdict.CERTAIN), (3e-3, Verdict.AMBIGUOUS)])
-def test_a_first_pose_is_certain_only_if_its_covariance_leaves_no_larger_error_open(localization, std_m, expected):
-    open_along_x = np.diag([std_m**2, *[1e-10] * 5])
-    one = changed(localization, probability=1.0, refined=replace(moved(localization), covariance=open_along_x))
-    assert one.verdict is expected
-
-
-def test_the_summary_begins_with_the_verdict_and_names_the_first_pose(localization):
-    one = changed(localization, probability=0.95, imprint_iou=0.8, refined=moved(localization))
-    lines = one.summary().splitlines()
-    assert lines[0] == f"certain: {MEANINGS[Verdict.CERTAIN]}"
-    for value_m in one.best.T_sensor_object[:3, 3]:
-        assert f"{1e3 * value_m:z.2f}" in lines[1]
-    assert lines[2] == f"within 1 mm with at least {format_percent(CERTAIN)} probability, imprint IoU 80 %"
-    assert str(one) == one.summary()
-    assert not any(line.startswith("next: ") for line in lines)
-    assert f"next: {NEXT_STEPS[Verdict.POOR_FIT]}" in changed(one, imprint_iou=0.3).summary().splitlines()
-    assert str(replace(one, hypotheses=one.hypotheses[:1])).splitlines()[1].startswith("first of 1 pose: ")
-
-
-def test_an_unrefined_pose_is_certain_only_within_a_tolerance_wider_than_the_grid(localization):
-    grid_pose = RefinedPose(localization.best.T_sensor_object_grid, 1.0, True, 0)
-    one = changed(localization, probability=0.95, imprint_iou=0.3, refined=grid_pose)  # its imprint means little
-    assert one.verdict is Verdict.AMBIGUOUS
-    wide = Tolerance(2 * localization.posterior.grid.spacing_m)
-    assert tolerate(one, wide).verdict is Verdict.CERTAIN
-
-
-def test_contradicting_touches_give_a_poor_fit_unless_the_outlier_is_known(localization):
-    one = changed(localization, probability=0.95, imprint_iou=0.8, refined=moved(localization))
-    two = replace(one, agreement=Agreement((0.9, 0.9), contradictory=True))
+def test_contradicting_touches_give_a_poor_fit_unless_the_outlier_is_known(certain):
+    two = replace(certain, agreement=Agreement((0.9, 0.9), contradictory=True))
     assert two.verdict is Verdict.POOR_FIT
     outvoted = Agreement((0.9,) * 4, outliers=(1,), contradictory=True)
-    four = replace(one, others=(one.touch,) * 3, agreement=outvoted)
+    evidence = replace(certain.evidence, fits=np.repeat(certain.evidence.fits, 3, axis=0))
+    four = replace(certain, others=(certain.touch,) * 3, agreement=outvoted, evidence=evidence)
     assert four.verdict is Verdict.CERTAIN
-    three = replace(four, others=(one.touch,) * 2)  # two touches may agree by chance
+    three = replace(four, others=(certain.touch,) * 2)  # two touches may agree by chance
     assert three.verdict is Verdict.POOR_FIT
-    assert replace(one, others=(one.touch,), left_out=(one.touch,)).verdict is Verdict.POOR_FIT
+    assert replace(certain, others=(certain.touch,), left_out=(certain.touch,)).verdict is Verdict.POOR_FIT
 
 
-def test_a_poor_fit_states_no_probability_and_of_several_touches_asks_for_the_sensor_poses(localization):
-    one = changed(localization, probability=0.95, imprint_iou=0.3, refined=moved(localization))
-    two = replace(one, others=(one.touch,))
+def test_poor_touches_keep_their_numbers_beside_outliers(certain):
+    fits = np.repeat(certain.evidence.fits, 3, axis=0) + 9.0 * np.outer([0, 1, 0], np.arange(9) == 0)
+    four = replace(
+        certain,
+        others=(certain.touch,) * 3,
+        agreement=Agreement((0.9,) * 4, outliers=(1,), contradictory=True),
+        evidence=replace(certain.evidence, fits=fits),
+    )
+    assert four.poor_touches == (2,), "the second of the three that are no outliers"
+
+
+def test_the_summary_begins_with_the_verdict_and_names_the_first_pose(certain):
+    lines = certain.summary().splitlines()
+    assert lines[0].startswith("certain: ")
+    for value_m in certain.best.T_sensor_object[:3, 3]:
+        assert f"{1e3 * value_m:z.2f}" in lines[1]
+    assert all(words in lines[2] for words in ("within 1 mm", "97 %", "imprint IoU"))
+    assert str(certain) == certain.summary()
+    assert not any(line.startswith("next: ") for line in lines)
+    assert str(replace(certain, hypotheses=certain.hypotheses[:1])).splitlines()[1].startswith("first of 1 pose: ")
+
+
+def test_a_poor_fit_states_no_probability_and_of_several_touches_asks_for_the_sensor_poses(certain):
+    one = explain_poorly(certain)
+    assert f"next: {NEXT_STEPS[Verdict.POOR_FIT]}" in one.summary().splitlines()
     assert "T_base_sensor" not in one.summary()
-    assert "imprint IoU 30 %" in one.summary().splitlines()
     assert "probability" not in one.summary()
+    fits = np.repeat(one.evidence.fits, 2, axis=0)
+    two = replace(one, others=(one.touch,), evidence=replace(one.evidence, fits=fits))
     assert f"next: {CHECK_SENSOR_POSES}" in two.summary().splitlines()
     assert two.assessment.next_step == suggest_next_step(two) == CHECK_SENSOR_POSES
     assert name_next_step(Verdict.NOT_FOUND, 2) == NEXT_STEPS[Verdict.NOT_FOUND]
@@ -152,30 +134,46 @@ def test_a_poor_fit_states_no_probability_and_of_several_touches_asks_for_the_se
 @pytest.mark.parametrize("verdict", list(Verdict))
 def test_words_state_the_probability_only_beside_a_pose_that_may_be_right(localization, verdict):
     stated = verdict in (Verdict.CERTAIN, Verdict.AMBIGUOUS)
-    assessed = replace(localization.assessment, verdict=verdict, probability_within=0.61)
-    words = replace(localization, assessed=assessed).describe_within()
+    assessed = replace(localization.assessment, verdict=verdict)
+    words = replace(localization, assessed=assessed, outcome=Outcome(0.61, 0.2, 0.19)).describe_within()
     assert words == ("within 1 mm with 61 % probability" if stated else "")
 
 
-def test_a_limit_of_the_fit_is_no_probability(localization):
-    """The covariance leaves larger errors open, so the fit is cut at its limit for poses that are left open."""
-    loose = replace(moved(localization), covariance=np.diag([3e-3**2, *[1e-10] * 5]))
-    left_open = changed(localization, probability=1.0, imprint_iou=0.9, refined=loose)
-    assert left_open.verdict is Verdict.AMBIGUOUS
-    assert left_open.probability_within() == MOST_UNDETERMINED
-    assert left_open.state_within() is None
-    assert (left_open.to_json()["probability_within"], left_open.describe_within()) == (None, "")
-    assert "%" not in left_open.summary().splitlines()[2].partition("imprint")[0]
-    sure = replace(left_open, assessed=replace(left_open.assessment, verdict=Verdict.CERTAIN))
-    assert sure.describe_within() == f"within 1 mm with at least {format_percent(CERTAIN)} probability"
-    missed = replace(left_open, posterior=replace(left_open.posterior, elsewhere=MOST_ELSEWHERE))
-    assert "%" not in missed.describe_search()
-
-
 def test_the_probability_within_a_tolerance_takes_a_text_or_a_tolerance(localization):
-    one = changed(localization, refined=moved(localization))
-    assert one.probability_within("1mm") == one.probability_within()
-    assert one.probability_within("2mm,3deg") == one.probability_within(Tolerance.parse("2mm,3deg"))
-    assert one.probability_within("0.001mm") < one.probability_within("5mm")
+    assert localization.probability_within() == localization.probability_within("1mm") == localization.outcome.right
+    assert localization.probability_within("2mm,3deg") == localization.probability_within(Tolerance.parse("2mm,3deg"))
+    assert localization.probability_within("0.001mm") < localization.probability_within("5mm")
     with pytest.raises(ConfigError):
-        one.probability_within("near")
+        localization.probability_within("near")
+
+
+def test_the_error_quantile_is_the_least_tolerance_with_a_probability_of_95_percent(certain, monkeypatch):
+    for least_m in (*QUANTILES_M, None):
+        limit_m = 1.0 if least_m is None else least_m
+        monkeypatch.setattr(
+            Localization, "probability_within", lambda found, asked, m=limit_m: 0.96 if asked.distance_m >= m else 0.94
+        )
+        assert certain.find_error_quantile_m() == certain.assessment.error_quantile_m == least_m
+        del vars(certain)["assessment"]
+    assert replace(certain, outcome=None).find_error_quantile_m() is None
+
+
+def test_the_probabilities_of_all_poses_sum_to_one_minus_elsewhere_in_the_order_of_the_poses(localization, localizer):
+    for found in (localization, *localizer.localize_many(localizer.simulate(3, seed=8, noise="strong"), top=40)):
+        p = np.array([h.probability for h in (*found.hypotheses, *found.unlisted)])
+        assert p.sum() + found.outcome.missed == pytest.approx(1)
+        assert (np.diff(p) <= 1e-12).all()
+        assert 0 < found.outcome.right < 1
+
+
+def test_a_turned_twin_leaves_a_result_ambiguous_unless_it_is_declared(make_box, store):
+    """A block looks the same after half a turn about each of its axes."""
+    config = RunConfig.from_dict({"grid": {"name": "whole", "directions": 300}, "sensor": SENSOR})
+    plain, declared = (
+        Localizer(config, make_box(0.024, 0.014, 0.008, symmetry=symmetry), store) for symmetry in ("none", "x2*y2")
+    )
+    for touches in draw_examples(declared, 3, 2):
+        twins, alone = (locate_together(one, touches) for one in (plain, declared))
+        assert (twins.verdict, alone.verdict) == (Verdict.AMBIGUOUS, Verdict.CERTAIN)
+        assert (twins.freedom.others, alone.freedom.others) == (3, 0)
+        assert "180 degrees" in twins.summary().splitlines()[0]

@@ -97,22 +97,8 @@ def test_places_are_built_once(tmp_path, monkeypatch):
     assert again.source.place_search.key.digest == first.source.place_search.key.digest
 
 
-def test_a_touch_that_no_pose_explains_is_elsewhere(localizer, examples):
-    from tactile_loc.locate.probability.probabilities import TemperatureScaling
-
-    scaling = TemperatureScaling(0.02, 0.1, (-6.0, 10.0))
-    grid = localizer.posteriors([examples[0][0]])[0].grid
-    well, badly = (scaling.posterior(grid, np.linspace(0, best, len(grid))) for best in (1.0, 0.2))
-    assert well.elsewhere < 0.05
-    assert badly.elsewhere > 0.95
-    for posterior in (well, badly):
-        assert posterior.probabilities.sum() + posterior.elsewhere == pytest.approx(1)
-
-
 def together(localizer: Localizer, some: list[Touch]) -> Sequence[PosePosterior]:
-    number = len(some)
-    views, sources = localizer.make_views(some), [localizer.source] * number
-    return localizer.source.search(views, sources, [localizer.probabilities] * number, StageTimes()).alone
+    return localizer.source.search(localizer.make_views(some), [localizer.source] * len(some), StageTimes()).alone
 
 
 def test_several_touches_are_compared_at_the_same_poses(localizer, examples):
@@ -121,12 +107,7 @@ def test_several_touches_are_compared_at_the_same_poses(localizer, examples):
     T = np.linalg.inv(np.asarray(some[1].T_base_sensor)) @ np.asarray(some[0].T_base_sensor)
     assert 1 < len(first.grid) <= localizer.config.search.registered_together
     assert T @ first.grid.T_sensor_object == pytest.approx(second.grid.T_sensor_object)
-    found = locate_together(localizer, some).posterior
-    assert found.touches == 2
-    assert first.elsewhere == second.elsewhere
-    assert found.elsewhere == pytest.approx(
-        first.elsewhere, abs=0.02
-    )  # the refiner may also shift the sensor poses slightly
+    assert locate_together(localizer, some).posterior.touches == 2
 
 
 @pytest.mark.slow
@@ -238,11 +219,12 @@ def test_the_search_finds_the_common_pose_of_several_touches(localizer, examples
     assert np.mean(np.array(nearest) < 1.0) >= 0.85
 
 
-def test_touches_that_no_pose_explains_together_are_elsewhere(localizer, examples):
-    agreeing = together(localizer, examples[0])[0].elsewhere
+def test_touches_that_no_pose_explains_together_are_never_certain(localizer, examples):
     placed = [touch.T_base_sensor for touch in examples[0]]
     moved = [dataclasses.replace(examples[k][k], T_base_sensor=T) for k, T in enumerate(placed)]
-    assert together(localizer, moved)[0].elsewhere > 2 * agreeing
+    agreeing, wrong = locate_together(localizer, examples[0]), locate_together(localizer, moved)
+    assert wrong.outcome.right < min(0.5, agreeing.outcome.right)
+    assert wrong.verdict not in (Verdict.CERTAIN, Verdict.AMBIGUOUS)
 
 
 def test_the_deepest_point_is_the_anchor(examples):

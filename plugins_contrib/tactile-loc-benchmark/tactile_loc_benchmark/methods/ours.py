@@ -24,11 +24,10 @@ class TactileLoc(Method):
         )
 
     def prepare(self, problem: LocatingProblem) -> None:
-        """Build the object's model, and fit its probabilities."""
+        """Build the object's model."""
         self._localizer = _make_localizer(self.options.settings, problem)
         self._localizer.source.describe_scores()
-        fitted = self._localizer.probabilities
-        _ = fitted.temperature_scaling, fitted.fused_scaling
+        _ = self._localizer.source.temperature_scaling
 
     def locate(self, problem: LocatingProblem, touches: Sequence[Touch]) -> ScoredPoses:
         """Return the listed poses with their probabilities, and the verdict."""

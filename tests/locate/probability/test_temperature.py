@@ -1,4 +1,4 @@
-"""Probabilities from scores: fits recover known parameters, and probabilities are calibrated."""
+"""Probabilities from scores: fits recover known parameters, and several touches share their errors."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.priors import PosteriorPrior
 from tactile_loc.core.runtime.errors import ConfigError, GridError
 from tactile_loc.locate.localizer import Localizer, compute_posterior_together
-from tactile_loc.locate.probability import probabilities as module
-from tactile_loc.locate.probability.probabilities import (
+from tactile_loc.locate.probability import temperature as module
+from tactile_loc.locate.probability.temperature import (
+    SHARED,
     TAIL_HEAT,
     TAILS,
-    FusedExample,
-    FusedScaling,
     TemperatureScaling,
-    fit_fused_scaling,
     fit_temperature_scaling,
 )
 from tactile_loc.store.store import StageStore
@@ -103,81 +101,32 @@ def test_fitted_credible_sets_hold_the_truth_at_their_level():
     assert 0.4 < (rank < 0.5).mean() < 0.75
 
 
-@pytest.mark.parametrize(("alike", "exponent"), [(False, 0.0), (True, 1.0)])
-def test_equal_errors_add_no_evidence_and_independent_errors_add_all(alike, exponent):
-    """All touches repeat the scores of the first touch, or each touch has independent scores."""
-    rng, made, fused = np.random.default_rng(5), TemperatureScaling(1.0), []
-    for touches in (2, 5):
-        for _ in range(400):
-            truth = int(rng.integers(40))
-            # Gaussian observations of the truth's unit vector: scores are exact log-likelihoods
-            seen = np.eye(40)[truth] + 0.5 * rng.normal(size=(touches, 40))
-            seen = np.repeat(seen[:1], touches, axis=0) if alike else seen
-            fused.append(FusedExample(touches, made.log_p(seen / 0.25).sum(axis=0), truth))
-    assert fit_fused_scaling(fused).exponent == pytest.approx(exponent, abs=0.12)
-
-
-@pytest.mark.slow
-def test_the_fit_finds_the_probability_of_elsewhere_from_the_best_score():
-    """The probability that examples are found grows with their score: the fit recovers it."""
-    rng = np.random.default_rng(8)
-    explained = rng.random(3000)
-    truth = np.where(rng.random(3000) < 1 / (1 + np.exp(4 - 8 * explained)), 0, -1)
-    fused = [FusedExample(3, np.log([0.7, 0.3]), int(t), float(b)) for t, b in zip(truth, explained, strict=True)]
-    fitted = fit_fused_scaling(fused, misses=True)
-    for best in (0.1, 0.5, 0.9):
-        assert fitted.elsewhere(best, 3) == pytest.approx(1 / (1 + np.exp(8 * best - 4)), abs=0.04)
-    always = [example for example in fused if example.truth >= 0]
-    assert fit_fused_scaling(always).elsewhere(0.0, 3) == 0, "a grid that lists all poses has no elsewhere"
-    few = fit_fused_scaling([FusedExample(3, np.log([0.7, 0.3]), 0, 0.9)] * 5, misses=True)
-    assert few.elsewhere(0.95, 3) < 0.15
-    assert few.elsewhere(0.0, 3) > 0.4, "a low score means elsewhere, although no example was missed"
-
-
-def test_more_touches_explained_equally_well_are_more_surely_found():
-    """Two touches need a better explanation than five touches: the fit is over all that the best pose explains."""
-    rng = np.random.default_rng(9)
-    touches, explained = rng.choice([2, 3, 5], 2000), rng.random(2000)
-    truth = np.where(touches * explained > 0.9, 0, -1)
-    examples = zip(touches, truth, explained, strict=True)
-    fused = [FusedExample(int(n), np.log([0.7, 0.3]), int(t), float(b)) for n, t, b in examples]
-    fitted = fit_fused_scaling(fused, misses=True)
-    assert fitted.elsewhere(0.3, 2) > 0.9
-    assert fitted.elsewhere(0.3, 5) < 0.1
-
-
-def test_the_power_of_one_touch_is_one():
-    assert FusedScaling(0.8).power(1) == 1
-    assert FusedScaling(0.5).power(4) == pytest.approx(0.5)
-    assert FusedScaling().power(7) == 1
-
-
-def test_several_touches_are_fused_with_the_fitted_power(tmp_path, monkeypatch):
+def test_several_touches_are_fused_with_the_power_of_shared_errors(tmp_path):
     localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
     touches = [
         dataclasses.replace(t, T_base_sensor=np.linalg.inv(t.T_sensor_object)) for t in localizer.simulate(3, seed=2)
     ]
     observations = [(localizer, touch) for touch in touches]
     product = localizer.fuser.fuse(localizer.posteriors(touches), [t.T_base_sensor for t in touches])
-    monkeypatch.setattr(localizer.probabilities, "fused_scaling", FusedScaling(0.75))
     fused = compute_posterior_together(observations)
-    np.testing.assert_allclose(fused.probabilities, product.temper(3**-0.75).probabilities, atol=1e-6)
+    np.testing.assert_allclose(fused.probabilities, product.temper(3**-SHARED).probabilities, atol=1e-6)
     assert fused.touches == 3
     plain = Localizer.create("pin", store=localizer.store, temperature=0.01, **COARSE)
-    assert plain.probabilities.fused_scaling == FusedScaling(0.0)
+    product = plain.fuser.fuse(plain.posteriors(touches), [t.T_base_sensor for t in touches])
+    fused = compute_posterior_together([(plain, touch) for touch in touches])
+    np.testing.assert_allclose(fused.probabilities, product.probabilities, atol=1e-6)
 
 
-def test_a_posterior_as_prior_gives_the_certainty_of_all_touches(tmp_path, monkeypatch):
+def test_a_posterior_as_prior_gives_the_certainty_of_all_touches(tmp_path):
     """Two touches in sequence give the same certainty as both together."""
     localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
-    monkeypatch.setattr(localizer.probabilities, "fused_scaling", FusedScaling(0.75))
     first, second = localizer.simulate(2, seed=2)
     earlier = localizer.posterior(first)
     motion = second.T_sensor_object @ np.linalg.inv(first.T_sensor_object)
     found = localizer.posterior(second, PosteriorPrior(earlier, motion))
     assert found.touches == 2
     known = PosteriorPrior(earlier, motion)(found.grid.T_sensor_object)
-    weights = 2**-0.75 * (localizer.posterior(second).log_p + known)
+    weights = 2**-SHARED * (localizer.posterior(second).log_p + known)
     np.testing.assert_allclose(np.diff(found.log_p), np.diff(weights), atol=1e-6)
 
 
@@ -193,35 +142,48 @@ def test_invalid_scaling_parameters_are_refused(values):
         TemperatureScaling(*values)
 
 
-def test_a_localizer_fits_once_per_encoder_unless_a_temperature_is_configured(tmp_path, monkeypatch):
+UNKNOWN = {"name": "pixel", "cells": 8}
+
+
+def ship(localizer, monkeypatch, values):
+    """Let the encoder state a temperature and a tail, or None."""
+    changed = dataclasses.replace(localizer.encoder.capabilities, temperature=values)
+    monkeypatch.setattr(type(localizer.encoder), "capabilities", changed)
+
+
+def test_a_listed_grid_uses_the_temperature_of_the_user_of_the_encoder_or_else_a_stored_fit(tmp_path, monkeypatch):
     store = StageStore(tmp_path)
-    first = Localizer.create("pin", store=store, **COARSE).probabilities.temperature_scaling
-    assert first.tail in TAILS
-    other = Localizer.create("pin", store=store, encoder={"name": "pixel", "cells": 8}, **COARSE)
-    assert other.probabilities.temperature_scaling != first
-    monkeypatch.setattr("tactile_loc.locate.probability.probabilities.fit_temperature_scaling", None)
+    first, other = (Localizer.create("pin", store=store, **some, **COARSE) for some in ({}, {"encoder": UNKNOWN}))
+    ship(first, monkeypatch, (0.3, 0.2))
+    assert Localizer.create("pin", store=store, **COARSE).source.temperature_scaling == TemperatureScaling(0.3, 0.2)
+    assert module.STAGE not in [key.stage for key in store.built]
+    ship(first, monkeypatch, None)
+    fitted = first.source.temperature_scaling
+    assert fitted.tail in TAILS
+    assert other.source.temperature_scaling != fitted
+    monkeypatch.setattr(module, "fit_temperature_scaling", None)
     again = Localizer.create("pin", store=store, **COARSE)
-    assert again.probabilities.temperature_scaling == first
+    assert again.source.temperature_scaling == fitted
     given = Localizer.create("pin", store=StageStore(tmp_path / "new"), temperature=0.5, **COARSE)
-    assert given.probabilities.temperature_scaling == TemperatureScaling(0.5)
-    keys = {localizer.probabilities.temperature_key().digest for localizer in (again, other)}
+    assert given.source.temperature_scaling == TemperatureScaling(0.5)
+    keys = {localizer.source.temperature_key().digest for localizer in (again, other)}
     monkeypatch.setattr(module, "SEED", 1)
-    assert len({*keys, again.probabilities.temperature_key().digest}) == 3
+    assert len({*keys, again.source.temperature_key().digest}) == 3
 
 
 @pytest.mark.slow
-def test_the_default_scaling_is_fitted_to_the_stated_number_of_touches(tmp_path, monkeypatch, shipped_touches):
+def test_the_fit_is_to_the_stated_number_of_touches_and_calibrated(tmp_path, monkeypatch, shipped_touches):
     """The one localizer of the suite that simulates all touches."""
     monkeypatch.setattr(module, "TOUCHES", shipped_touches)
-    localizer = Localizer.create("pin", store=StageStore(tmp_path), **COARSE)
-    fitted_to: list[int] = []
+    localizer, fitted_to = Localizer.create("pin", store=StageStore(tmp_path), **COARSE), []
+    ship(localizer, monkeypatch, None)
 
     def fit(scores, *others):
         fitted_to.append(len(scores))
         return fit_temperature_scaling(scores, *others)
 
-    monkeypatch.setattr("tactile_loc.locate.probability.probabilities.fit_temperature_scaling", fit)
-    scaling = localizer.probabilities.temperature_scaling
+    monkeypatch.setattr(module, "fit_temperature_scaling", fit)
+    assert localizer.source.temperature_scaling.temperature > 0
     assert fitted_to == [shipped_touches]
     held = 0
     for touch in localizer.simulate(60, seed=99, noise="strong"):  # the fit did not use this seed
@@ -229,4 +191,3 @@ def test_the_default_scaling_is_fitted_to_the_stated_number_of_touches(tmp_path,
         p, truth = posterior.probabilities, localizer.model.grid.nearest(touch.T_sensor_object[None])[1][0]
         held += p[p > p[truth]].sum() < 0.95
     assert 0.85 <= held / 60 <= 1.0
-    assert scaling.temperature > 0
