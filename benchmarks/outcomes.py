@@ -51,8 +51,17 @@ from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.hypotheses import compute_nats
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.probability.conformal import ELSEWHERE, Ranking
-from tactile_loc.locate.probability.evidence import FEATURES, Asked, gather_evidence
-from tactile_loc.locate.probability.outcome import FILE, FIT_FEATURES, VERSION, Trees, load_outcome_model, share_outcome
+from tactile_loc.locate.probability.evidence import FEATURES, TIE_IOU, Question, gather_evidence
+from tactile_loc.locate.probability.outcome_model import (
+    FILE,
+    FIT_FEATURES,
+    LEAST,
+    VERSION,
+    Trees,
+    load_outcome_model,
+    settle,
+    share_outcome,
+)
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Outcome, judge
 from tactile_loc.slots.registry import registry
@@ -157,7 +166,7 @@ def describe(localizer: Localizer, touches: Sequence[Touch], found: Localization
     row: Row = {"errors_m": errors_m, "ious": np.array([h.imprint_iou for h in poses]), "verdict": str(found.verdict)}
     row["right"], row["seconds"] = found.probability_within(), sum(found.seconds.values())
     evidence = [
-        gather_evidence(trusted, poses, Asked(localizer.object, one, contradictory=found.agreement.contradictory))
+        gather_evidence(trusted, poses, Question(localizer.object, one, contradictory=found.agreement.contradictory))
         for one in tolerances
     ]
     row["values"] = np.stack([one.values for one in evidence])
@@ -335,10 +344,11 @@ def compute_set_scores(rows: Sequence[Row], p: Float64) -> Float64:
     scores = []
     for row, outcome in zip(rows, p, strict=True):
         weights = np.exp(compute_nats(row["ious"], row["touches"]))
-        near = row["near"]
-        shares, missed = share_outcome(weights, near, Outcome(*np.clip(outcome, 1e-3, 1 - 1e-3).tolist()))
-        right = np.flatnonzero(row["errors_m"] <= 1e-3)
-        scores.append(Ranking.of(shares, missed).score(int(right[0]) if len(right) else ELSEWHERE))
+        right, another, missed = np.clip(outcome, LEAST, 1 - LEAST).tolist()
+        equal = int((~row["near"] & (row["ious"] > row["ious"][0] - TIE_IOU)).sum())
+        shares, missed = share_outcome(weights, row["near"], settle(right, another, missed, row["near"], equal))
+        found = np.flatnonzero(row["errors_m"] <= 1e-3)
+        scores.append(Ranking.of(shares, missed).score(int(found[0]) if len(found) else ELSEWHERE))
     return np.array(scores)
 
 
@@ -365,6 +375,7 @@ def fit(arguments: argparse.Namespace) -> None:
         "version": VERSION,
         "features": list(FEATURES),
         "fit_features": list(FIT_FEATURES),
+        "quantile": QUANTILE,
         "results": len(rows),
         "parts": sorted(set(parts)),
     }

@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     # identification
     from tactile_loc_cli.commands.identify import IdentificationOutput as IdentificationOutput
 
-    # which requests a local web server answers
-
     # files, which are written completely or not at all
     from tactile_loc.locate.stored_object import list_mesh_files as list_mesh_files
     from tactile_loc.store.files import remove_abandoned as remove_abandoned

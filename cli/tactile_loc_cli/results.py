@@ -84,7 +84,8 @@ def _summarise(found: Localization) -> Iterator[str]:
     )
     if (listed := found.pose_set) is not None:
         yield f"{listed.title}: {listed.size}. {listed.meaning}"
-    unlisted = 1 - found.posterior.elsewhere - sum(h.probability for h in found.hypotheses)
+    missed = found.posterior.elsewhere if found.outcome is None else found.outcome.missed
+    unlisted = 1 - missed - sum(h.probability for h in found.hypotheses)
     if unlisted > LEAST_SHOWN and found.pose_set is None:
         yield f"{100 * unlisted:.0f} % of the probability belongs to poses not listed; --top N lists more"
     grid = found.made_with.configuration["grid"]

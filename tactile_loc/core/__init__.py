@@ -1,1 +1,1 @@
-"""Data types, interfaces and numerical kernels. This package imports no plugin and no large library."""
+"""Data types and numerical kernels. This package imports no plugin and no large library."""

@@ -1,1 +1,1 @@
-"""Evaluations: simulated touches, metrics, protocols, tables and figures."""
+"""Evaluations: simulated touches, metrics, protocols and tables."""

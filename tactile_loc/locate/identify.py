@@ -3,9 +3,6 @@
 Each object is located from all touches. An object's misfit is the evidence (`imprints.py`), in nats, that its best pose
 lacks to explain all touches fully. The misfit does not depend on how much of the object is touched.
 
-To find the misfits, objects are located with TYPICAL scalings of probabilities. They hardly affect the poses, and need
-no fit to the object, which takes seconds. Only the objects that are probable in the end are located with their own.
-
 If the touched object is none of these, other objects still explain each touch separately, but hardly ever all touches
 together. So each touch is also located separately. The least misfit of a touch is its floor: noise, which no object
 explains. If the best object has a larger misfit than the floors of all touches, an unknown object was probably touched.

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.posterior import Mode, NoPoseLeft, PosePosterior
 from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE
 from tactile_loc.core.registration.prior_factors import fit_prior_factors
+from tactile_loc.core.sensing.scene import View
 from tactile_loc.locate.hypotheses import compare, count_touches_with_depths, merge_hypotheses, turn_half_steps, weigh
 from tactile_loc.locate.method import LocatingMethod, Query
 from tactile_loc.locate.probability.conformal import PoseSet, Ranking
-from tactile_loc.locate.probability.evidence import Asked, gather_evidence
-from tactile_loc.locate.probability.outcome import load_outcome_model, spread_outcome
+from tactile_loc.locate.probability.evidence import Question, gather_evidence
+from tactile_loc.locate.probability.outcome_model import load_outcome_model, spread_outcome
 from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.sources.source import Scored
@@ -74,28 +76,40 @@ def conclude(query: Query, method: LocatingMethod, solution: Solution) -> Locali
     scene, prior, agreement = method.source.setup.scene, method.temper_prior(query), solution.agreement
     trusted = [view for number, view in enumerate(query.views) if number not in agreement.outliers]
     with query.times.stage("choose"):
-        first = method.refinement.add_covariances(query.views, solution.hypotheses[:1])
+        first = method.refinement.add_covariances(trusted, solution.hypotheses[:1])
         known = (*first, *solution.hypotheses[1:])
-        asked = Asked(scene.object, method.config.tolerance, prior, agreement.contradictory)
+        asked = Question(scene.object, method.config.tolerance, prior, agreement.contradictory)
         evidence = gather_evidence(trusted, known, asked)
         outcome = load_outcome_model().predict(evidence)
         hypotheses, missed = spread_outcome(known, evidence.near, outcome)
-        pose_set = None if query.coverage is None else choose_set(hypotheses, missed, query.coverage, agreement)
+        pose_set = None if query.coverage is None else choose_set(query.coverage, trusted, known, asked, method)
         kept = hypotheses[: query.top if pose_set is None else pose_set.poses]
         listed = method.refinement.add_covariances(query.views, kept)
     placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
     posterior = replace(solution.posterior, elsewhere=missed if method.source.may_miss else 0.0)
     found = Localization(touch, posterior, placed, query.times.seconds, tuple(others), pose_set, agreement)
     unexpected = is_unexpected(prior, hypotheses[0].T_sensor_object, scene.object.mesh.centroid_m)
-    found = replace(found, config=method.config, unlisted=hypotheses[len(placed) :], unexpected=unexpected)
+    found = replace(found, config=method.config, unlisted=hypotheses[len(placed) :], unexpected=unexpected, prior=prior)
     return replace(found, evidence=evidence, outcome=outcome)
 
 
-def choose_set(hypotheses: Sequence[Hypothesis], missed: float, coverage: float, agreement: Agreement) -> PoseSet:
-    """Return the set of hypotheses that contains the true pose with the probability `coverage`, 0 to 1."""
-    ranking = Ranking.of([h.probability for h in hypotheses], missed)
-    doubt = "The touches contradict each other, and the examples do not." if agreement.contradictory else ""
-    return PoseSet.of(ranking, load_outcome_model().scores, coverage, doubt)
+def choose_set(
+    coverage: float, views: Sequence[View], hypotheses: Sequence[Hypothesis], asked: Question, method: LocatingMethod
+) -> PoseSet:
+    """Return the set of hypotheses that contains the true pose with the probability `coverage`, 0 to 1.
+
+    A pose is right within 1 mm, whatever tolerance the verdict has.
+    """
+    evidence = gather_evidence(views, hypotheses, replace(asked, tolerance=ONE_MILLIMETRE))
+    spread, missed = spread_outcome(hypotheses, evidence.near, load_outcome_model().predict(evidence))
+    doubt = ""
+    if asked.contradictory:
+        doubt = "The touches contradict each other, and the examples do not."
+    elif asked.prior is not None:
+        doubt = "The examples have no prior."
+    elif not method.source.may_miss or evidence.probes is None:
+        doubt = "The examples are of the grid whole, and their poses are refined."
+    return PoseSet.of(Ranking.of([h.probability for h in spread], missed), load_outcome_model().scores, coverage, doubt)
 
 
 def is_unexpected(prior: Prior | None, T: Poses, middle_m: NDArray[np.float64]) -> bool:

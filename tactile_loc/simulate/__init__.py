@@ -1,1 +1,1 @@
-"""Simulated touches, their noise, and touches for training."""
+"""Simulated touches, and touches for training."""

@@ -1,7 +1,7 @@
 """A Kalman filter of one object's pose, from touches whose errors are correlated from frame to frame.
 
 The error (6,) of a pose has two parts: x, y, z of the object frame's origin (m), then a rotation vector (rad). Both are
-along the axes of the frame in which the pose is given, as in `hand_eye.compute_pose_errors` and
+along the axes of the frame in which the pose is given, as in `lie.compute_pose_errors` and
 `RefinedPose.covariance`.
 
 Frames of one contact have similar errors. If these errors counted as independent, a thousand frames would seem thirty

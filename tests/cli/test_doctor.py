@@ -192,7 +192,7 @@ def test_the_compile_option_compiles_the_kernels(cli, libraries, monkeypatch, tm
 
     def tried(trial, *words, timeout_s=None):
         asked.append(trial)
-        return checks.Outcome({"says": "compiled", "seconds": 9.5}, "")
+        return checks.Attempt({"says": "compiled", "seconds": 9.5}, "")
 
     monkeypatch.setattr(checks, "attempt", tried)
     plain, compiled = (json.loads(cli("doctor", "--json", *more).stdout)["checks"] for more in ([], ["--compile"]))

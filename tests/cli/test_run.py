@@ -62,10 +62,10 @@ def result(store: Path, tmp_path_factory: pytest.TempPathFactory) -> dict:
 def test_the_summary_states_the_verdicts_meaning_and_the_unlisted_probability(result, capsys):
     assert result["stdout"].startswith(f"{result['verdict']}: {explain_verdict(Verdict(result['verdict']))}")
     found = Localization.load(result["folder"])
-    posterior = dataclasses.replace(found.posterior, elsewhere=0.1)
+    outcome = Outcome(0.8, 0.1, 0.1)
     for listed, shown in ((0.5, True), (0.895, False)):
         first = dataclasses.replace(found.best, probability=listed)
-        say_result(dataclasses.replace(found, hypotheses=(first,), posterior=posterior))
+        say_result(dataclasses.replace(found, hypotheses=(first,), outcome=outcome))
         assert ("40 % of the probability" in capsys.readouterr().out) == shown
 
 

@@ -12,7 +12,7 @@ import pytest
 from cli_helpers import TINY, assert_refused, succeed, touch_depths
 from message_helpers import missing
 
-from tactile_loc.locate.probability.outcome import OutcomeModel
+from tactile_loc.locate.probability.outcome_model import OutcomeModel
 
 FOLDER = Path("touches")
 PIN = ["--object", "pin", *TINY]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from planning_helpers import GEL, PRESS_M
 
-from tactile_loc.core.places.imprints import compare_imprints
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.gel_surface import deform_gel, find_touching, mark_touching
+from tactile_loc.core.sensing.imprints import compare_imprints
 from tactile_loc.planning.touch_evidence import compare_contacts, compare_elastic_contacts
 
 

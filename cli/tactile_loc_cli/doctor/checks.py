@@ -78,14 +78,14 @@ LONGEST = 240  # shown characters of a reason
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Attempt:
     """The outcome of a trial: the facts that it found, or the reason why it failed."""
 
     facts: dict[str, Any] = field(default_factory=dict)
     failure: str = ""
 
 
-def attempt(trial: str, *words: str, timeout_s: float | None = None) -> Outcome:
+def attempt(trial: str, *words: str, timeout_s: float | None = None) -> Attempt:
     """Run a trial of `trials.py`, by default for at most TIMEOUT_S seconds, and return its outcome. Never raises."""
     timeout_s = TIMEOUT_S if timeout_s is None else timeout_s
     # -P: do not import files of the current folder in place of libraries
@@ -95,17 +95,17 @@ def attempt(trial: str, *words: str, timeout_s: float | None = None) -> Outcome:
             line, capture_output=True, text=True, errors="replace", timeout=timeout_s, stdin=subprocess.DEVNULL
         )
     except subprocess.TimeoutExpired:
-        return Outcome(failure=f"no answer within {timeout_s:g} s")
+        return Attempt(failure=f"no answer within {timeout_s:g} s")
     except OSError as error:
-        return Outcome(failure=f"Python cannot be started ({error.strerror})")
+        return Attempt(failure=f"Python cannot be started ({error.strerror})")
     if done.returncode < 0:
-        return Outcome(failure=f"it crashed ({_name_signal(-done.returncode)})")
+        return Attempt(failure=f"it crashed ({_name_signal(-done.returncode)})")
     if done.returncode > 0:
-        return Outcome(failure=_read_last_line(done.stderr)[:LONGEST] or f"it exited with code {done.returncode}")
+        return Attempt(failure=_read_last_line(done.stderr)[:LONGEST] or f"it exited with code {done.returncode}")
     try:
-        return Outcome(facts=dict(json.loads(_read_last_line(done.stdout))))
+        return Attempt(facts=dict(json.loads(_read_last_line(done.stdout))))
     except (ValueError, TypeError):
-        return Outcome(failure="it printed nothing readable")
+        return Attempt(failure="it printed nothing readable")
 
 
 def _name_signal(number: int) -> str:

@@ -81,17 +81,18 @@ def measure_pose_errors(
         return np.linalg.norm(transform_points(T, centre_m) - transform_points(others, centre_m), axis=-1)[:, 0]
     if symmetry.continuous_axis is None:
         same = np.ascontiguousarray(symmetry.list_elements())
-        run_in_threads(_fill_errors, len(T), T, others, same, corners_m, limit_m, errors_m)
+        run_in_threads(_fill_errors, len(T), (T, others, same), corners_m, limit_m, errors_m)
         return errors_m
     flipped = np.ascontiguousarray(others[:, None] @ _list_flips(obj))
     frame = (np.ascontiguousarray(symmetry.continuous_axis, np.float64), np.ascontiguousarray(symmetry.centre_m))
-    run_in_threads(_fill_rolled_errors, len(T), T, flipped, frame, corners_m, limit_m, errors_m)
+    run_in_threads(_fill_rolled_errors, len(T), (T, flipped), frame, corners_m, limit_m, errors_m)
     return errors_m
 
 
 @njit(fast=True)
-def _fill_errors(first, last, T, others, same, points, limit, errors):
-    """Fill `errors` (K,) for poses T and others (K, 4, 4), symmetries `same` (E, 4, 4) and points (P, 3), metres."""
+def _fill_errors(first, last, poses, points, limit, errors):
+    """Fill `errors` (K,), metres, for points (P, 3). `poses` are T and others (K, 4, 4), and symmetries (E, 4, 4)."""
+    T, others, same = poses
     moved = np.empty((3, 4))
     enough = limit * limit
     for k in range(first, last):
@@ -120,11 +121,13 @@ def _fill_errors(first, last, T, others, same, points, limit, errors):
 
 
 @njit(fast=True)
-def _fill_rolled_errors(first, last, T, flipped, frame, points, limit, errors):
-    """Fill `errors` (K,) as `_fill_errors`, for all rolls of poses `flipped` (K, F, 4, 4) about an axis.
+def _fill_rolled_errors(first, last, poses, frame, points, limit, errors):
+    """Fill `errors` (K,) as `_fill_errors`, for all rolls about an axis.
 
-    `frame` is the unit axis (3,) and a point (3,) of it, metres, in the object's frame.
+    `poses` are T (K, 4, 4), and the others with flips (K, F, 4, 4). `frame` is the unit axis (3,) and a point (3,) of
+    it, metres, in the object's frame.
     """
+    T, flipped = poses
     waves = np.empty((len(points), 3))
     middles, halves = np.empty(INTERVALS + HALVINGS), np.empty(INTERVALS + HALVINGS)
     for k in range(first, last):

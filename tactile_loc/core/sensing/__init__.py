@@ -1,1 +1,1 @@
-"""Sensing: sensor geometry, contact, touches and places."""
+"""Sensing: sensor geometry, contact, touches, and how poses explain them."""

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Float32, Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.places.imprints import Explained, Residuals, compare_imprints, measure_residuals
 from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
+from tactile_loc.core.sensing.imprints import Explained, Residuals, compare_imprints, measure_residuals
 from tactile_loc.core.sensing.sensor_geometry import Drawing, SensorGeometry, find_drawing
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
 

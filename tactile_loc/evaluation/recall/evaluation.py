@@ -22,7 +22,7 @@ from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.evaluation.summary import RIGHT_M
 from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer, Observation, localize_together
-from tactile_loc.locate.probability.outcome import load_outcome_model
+from tactile_loc.locate.probability.outcome_model import load_outcome_model
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.localization import Hypothesis, Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame

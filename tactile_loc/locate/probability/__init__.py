@@ -1,1 +1,1 @@
-"""Probabilities of poses, and sets with a promised coverage."""
+"""Probabilities of poses: scores (temperature), what a result shows (evidence, probes), its outcome, and pose sets."""

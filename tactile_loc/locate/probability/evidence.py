@@ -46,7 +46,7 @@ FEATURES = (
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class Question:
     """What is asked about the poses of an object: whether the first one is right within a `tolerance`.
 
     The `prior` is over poses in the first touch's sensor frame. `contradictory` states whether touches contradict.
@@ -78,7 +78,7 @@ class Evidence:
     probe_losses: Float64
 
 
-def gather_evidence(views: Sequence[View], hypotheses: Sequence[Hypothesis], asked: Asked) -> Evidence:
+def gather_evidence(views: Sequence[View], hypotheses: Sequence[Hypothesis], asked: Question) -> Evidence:
     """Return the evidence for the first of the hypotheses of N touches, the most probable first.
 
     A pose that the prior makes less probable counts as if it had less imprint IoU: see NATS_PER_IOU.

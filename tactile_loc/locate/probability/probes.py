@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.lie import exponential
+from tactile_loc.core.geometry.lie import move
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
@@ -21,7 +21,7 @@ Float64 = NDArray[np.float64]
 
 DIRECTIONS = 3  # directions with a probe on either side
 BEYOND = 1.2  # distance of a probe, in tolerances
-SCALES = np.array([0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 3.0])  # of a motion by about a tolerance, tried
+SCALES = 0.05 * 1.4 ** np.arange(24)  # of a motion by about a tolerance, which are tried
 MOST_TURN_RAD = 2.0  # along directions that change nothing, such as a turn about an axis of symmetry
 STEP = 1e-5  # metres and radians, for derivatives
 
@@ -54,11 +54,9 @@ def place_probes(T: Poses, covariance: Float64, obj: ObjectModel, tolerance: Tol
     directions = (spread @ axes[:, chosen]).T
     unit_m = tolerance.distance_m or 1e-3
     units = np.repeat(directions * (unit_m / std_m)[:, None], 2, axis=0) * np.tile([1.0, -1.0], DIRECTIONS)[:, None]
-    units *= np.minimum(1.0, MOST_TURN_RAD / (SCALES[-1] * np.maximum(np.linalg.norm(units[:, 3:], axis=1), 1e-12)))[
-        :, None
-    ]
     tried = move(T, (SCALES[:, None, None] * units).reshape(-1, 6))
     ratios = tolerance.measure_ratios(obj, T, tried).reshape(len(SCALES), -1)
+    ratios[SCALES[:, None] * np.linalg.norm(units[:, 3:], axis=1) > MOST_TURN_RAD] = 0.0
     motions = units * np.array([_find_scale(column) for column in ratios.T])[:, None]
     return Probes(move(T, motions), motions, std_m)
 
@@ -74,14 +72,6 @@ def _find_scale(ratios: Float64) -> float:
     k = int(far[0])
     before, scale = (0.0, 0.0) if k == 0 else (ratios[k - 1], SCALES[k - 1])
     return float(scale + (SCALES[k] - scale) * (BEYOND - before) / (ratios[k] - before))
-
-
-def move(T: Poses, motions: Float64) -> Poses:
-    """Return a pose (4, 4), metres, moved by motions (K, 6): shifts (m), then rotation vectors about its origin (rad).
-
-    Both are along the sensor's axes, as the errors of `RefinedPose.covariance` are.
-    """
-    return np.asarray(exponential(np.roll(motions, 3, axis=-1), T[:3, 3]) @ T)
 
 
 def _differentiate(T: Poses, obj: ObjectModel) -> Float64:

@@ -15,6 +15,7 @@ from tactile_loc.core.geometry.pose_words import describe_first
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.runtime.errors import ConfigError, ResultError, TactileLocError
 from tactile_loc.core.runtime.formatting import format_percent
@@ -24,15 +25,23 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.io.json_keys import write_keys
 from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.probability.conformal import PoseSet
-from tactile_loc.locate.probability.evidence import Asked, Evidence, gather_evidence
-from tactile_loc.locate.probability.outcome import load_outcome_model
+from tactile_loc.locate.probability.evidence import Evidence, Question, gather_evidence
+from tactile_loc.locate.probability.outcome_model import load_outcome_model
 from tactile_loc.locate.result import result_arrays, result_json
 from tactile_loc.locate.result.assessment import Assessment, Origin, PoseErrors
 from tactile_loc.locate.result.freedom import Freedom, explain_as_well, find_as_well, find_freedom
 from tactile_loc.locate.result.hypothesis import Agreement as Agreement
 from tactile_loc.locate.result.hypothesis import Hypothesis as Hypothesis
 from tactile_loc.locate.result.result_html import write_html
-from tactile_loc.locate.result.verdict import Outcome, Verdict, describe_within, explain_verdict, judge, name_next_step
+from tactile_loc.locate.result.verdict import (
+    STATES_PROBABILITY,
+    Outcome,
+    Verdict,
+    describe_within,
+    explain_verdict,
+    judge,
+    name_next_step,
+)
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.files import lock_folder, write_json
 
@@ -53,9 +62,9 @@ class Localization:
 
     `config` is the configuration of the localizer; None if a localisation was made by hand. `unlisted` are refined
     hypotheses after the listed ones. They count for the verdict, but files do not keep them. `unexpected` states
-    whether the prior makes the first pose very improbable. The `outcome` has the probability that the first pose is
-    right, computed from the `evidence`; both are None if a localisation was made by hand. `assessed` and `origin` are
-    those of a file; None if they are not known yet.
+    whether the `prior`, over poses in the first sensor's frame, makes the first pose very improbable. The `outcome`
+    has the probability that the first pose is right, computed from the `evidence`; both are None if a localisation
+    was made by hand. `assessed` and `origin` are those of a file; None if they are not known yet.
     """
 
     touch: Touch
@@ -69,6 +78,7 @@ class Localization:
     config: RunConfig | None = None
     unlisted: tuple[Hypothesis, ...] = ()
     unexpected: bool = False
+    prior: Prior | None = None
     evidence: Evidence | None = None
     outcome: Outcome | None = None
     assessed: Assessment | None = None
@@ -165,6 +175,7 @@ class Localization:
             unexpected=self.unexpected,
             freedom=write_keys(result_json.FREEDOM, about.freedom),
             elsewhere=self.posterior.elsewhere,
+            missed=self.posterior.elsewhere if self.outcome is None else self.outcome.missed,
             posterior_touches=self.posterior.touches,
             hypotheses=[result_json.write_hypothesis(rank, *pair) for rank, pair in enumerate(pairs, 1)],
             pose_set=None if self.pose_set is None else write_keys(result_json.POSE_SET, self.pose_set),
@@ -246,17 +257,16 @@ class Localization:
     def verdict(self) -> Verdict:
         """How far the first hypothesis can be trusted, in one word.
 
-        It is certain if it is probable enough that the first pose is within `tolerance` of the true pose. It is never
-        certain if another pose, not within the tolerance of the first one, explains the touches as well, or if the
-        prior makes the first pose very improbable. Nor is it certain if the covariance of the first pose leaves an
-        error above the tolerance open, or if a touch has no depths. The verdict is also "poor fit" if touches
-        contradict each other, unless at least LEAST_AGREEING of them agree.
+        It is certain if the outcome's probability that the first pose is within `tolerance` of the true pose is at
+        least `confidence`. It is never certain if a touch has no depths, if the pose has no covariance, or if the prior
+        makes it very improbable. The verdict is "poor fit" if the pose explains a touch worse than right poses do, or
+        if touches contradict each other, unless at least LEAST_AGREEING of them agree.
         """
         if self.assessed is not None:
             return self.assessed.verdict
         if self._is_contradicted:
             return Verdict.POOR_FIT
-        sure = self.depths_known and not self.unexpected
+        sure = self.depths_known and not self.unexpected and self.best.covariance is not None
         return judge(self.outcome, sure=sure, poor=bool(self.poor_touches), least=self.confidence)
 
     @property
@@ -268,11 +278,11 @@ class Localization:
     def poor_touches(self) -> tuple[int, ...]:
         """The numbers of the touches that the first pose explains worse than right poses do, at the touches' noise.
 
-        A pose that was not refined is not judged. Outliers do not count.
+        A pose that was not refined is not judged, and neither are contact masks. Outliers do not count.
         """
         if self.assessed is not None:
             return self.assessed.poor_touches
-        if self.evidence is None or not self.best.is_refined:
+        if self.evidence is None or not self.best.is_refined or not self.depths_known:
             return ()
         trusted = [number for number in range(len(self.touches)) if number not in self.agreement.outliers]
         excess = load_outcome_model().measure_excess(self.evidence)
@@ -280,7 +290,8 @@ class Localization:
 
     def compare_without_prior(self, alone: Localization) -> Localization:
         """Return this result of a prior, `unexpected` if the touches `alone`, without it, are explained far better."""
-        better = alone.best.imprint_iou > self.best.imprint_iou + LEAST_BETTER
+        same = (len(alone.touches), alone.agreement.outliers) == (len(self.touches), self.agreement.outliers)
+        better = same and alone.best.imprint_iou > self.best.imprint_iou + LEAST_BETTER
         return replace(self, unexpected=self.unexpected or better)
 
     @property
@@ -299,14 +310,16 @@ class Localization:
         """Return the probability, 0 to 1, that the first pose is within a tolerance of the true pose.
 
         The tolerance is a text such as "0.5mm,2deg", a `Tolerance`, or by default that of the result. Poses that are
-        equal by symmetry count as equal. Raises ConfigError if the text cannot be read, and ResultError if the outcome
-        and `config` are unknown.
+        equal by symmetry count as equal. Raises ConfigError if the text cannot be read, and ResultError if `config` is
+        unknown, or for another tolerance if the result was read from a file.
         """
         asked = Tolerance.parse(tolerance) if isinstance(tolerance, str) else tolerance or self.tolerance
         if self.outcome is not None and asked == self.tolerance:
             return self.outcome.right
+        if self.assessed is not None:
+            raise ResultError(f"files keep only the listed poses; locate again with the tolerance {asked}")
         trusted = [view for number, view in enumerate(self.make_views()) if number not in self.agreement.outliers]
-        question = Asked(self.object, asked, contradictory=self.agreement.contradictory)
+        question = Question(self.object, asked, self.prior, self.agreement.contradictory)
         evidence = gather_evidence(trusted, [*self.hypotheses, *self.unlisted], question)
         return load_outcome_model().predict(evidence).right
 
@@ -317,7 +330,8 @@ class Localization:
         """
         if self.assessed is not None:
             return self.assessed.error_quantile_m
-        if self.outcome is None or self.config is None:
+        known = self.outcome is not None and self.config is not None and self.depths_known and not self.unexpected
+        if not known or self.verdict not in STATES_PROBABILITY:
             return None
         return next((m for m in QUANTILES_M if self.probability_within(Tolerance(m)) >= CERTAIN), None)
 
@@ -378,7 +392,8 @@ class Localization:
 
     def describe_within(self) -> str:
         """State in words how probable it is that the first pose is right; empty if the verdict makes it misleading."""
-        return describe_within(self.verdict, None if self.outcome is None else self.outcome.right, self.tolerance)
+        known = self.outcome is not None and self.depths_known
+        return describe_within(self.verdict, self.outcome.right if known and self.outcome else None, self.tolerance)
 
     def describe_search(self) -> str:
         """State in words the number of scored poses, and the probability that the object is at none of them."""

@@ -73,7 +73,8 @@ RESULT: Keys = {
     "freedom": Key("object", "what the touches leave open"),
     "next_step": Key("text", "what to do next, in words; empty if the verdict is certain"),
     "grid_poses": Key("integer", "number of scored poses; with the grid `whole`, of poses that the search found"),
-    "elsewhere": Key("number", "probability that no hypothesis is within the tolerance of the true pose"),
+    "elsewhere": Key("number", "probability that the true pose is near none of the scored poses; 0 for a listed grid"),
+    "missed": Key("number", "probability that no hypothesis is within the tolerance of the true pose"),
     "normalised_entropy": Key(
         "number", "entropy / log(grid_poses): 0 if one pose is certain, 1 if all poses are equally probable"
     ),
@@ -341,5 +342,5 @@ def read_assessment(document: dict[str, Any], kept_probability: float) -> Assess
 
 def read_outcome(document: dict[str, Any]) -> Outcome | None:
     """Return the outcome in a result's document; None if it is unknown."""
-    right, missed = document["probability_within"], document["elsewhere"]
+    right, missed = document["probability_within"], document["missed"]
     return None if right is None else Outcome(right, max(0.0, 1 - right - missed), missed)

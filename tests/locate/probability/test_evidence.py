@@ -17,8 +17,8 @@ from tactile_loc.locate.probability.evidence import (
     FEATURES,
     NO_GAP,
     SURFACE,
-    Asked,
     Evidence,
+    Question,
     describe_surface,
     gather_evidence,
 )
@@ -61,7 +61,7 @@ def name_values(found: Evidence) -> dict[str, float]:
 
 
 def test_a_lone_pose_that_explains_all_has_no_rival_and_leaves_nothing(view, true_pose):
-    found = gather_evidence([view], [suppose(view, true_pose)], Asked(view.scene.object, Tolerance()))
+    found = gather_evidence([view], [suppose(view, true_pose)], Question(view.scene.object, Tolerance()))
     said = name_values(found)
     assert (said["touches"], said["hypotheses"], said["same"], said["mask"], said["contradictory"]) == (1, 1, 1, 0, 0)
     assert said["imprint_iou"] == pytest.approx(1, abs=1e-3)
@@ -74,7 +74,7 @@ def test_a_lone_pose_that_explains_all_has_no_rival_and_leaves_nothing(view, tru
 def test_the_rival_is_the_best_pose_beyond_the_tolerance_after_its_prior(view, true_pose):
     near, beside, far = (make_translation([x_m, 0, 0]) @ true_pose for x_m in (5e-4, 2e-3, 4e-3))
     some = [suppose(view, T) for T in (true_pose, near, far, beside)]
-    asked = Asked(view.scene.object, Tolerance())
+    asked = Question(view.scene.object, Tolerance())
     found = gather_evidence([view], some, asked)
     said = name_values(found)
     assert found.near.tolist() == [True, True, False, False]
@@ -85,7 +85,7 @@ def test_the_rival_is_the_best_pose_beyond_the_tolerance_after_its_prior(view, t
     unlikely = [*some[:3], suppose(view, beside, prior_nats=-3.0)]
     said = name_values(gather_evidence([view], unlikely, asked))
     assert said["iou_gap"] == pytest.approx(some[0].imprint_iou - some[3].imprint_iou + 3 / NATS_PER_IOU)
-    assert name_values(gather_evidence([view], some, Asked(asked.object, Tolerance(1e-2))))["gap"] == NO_GAP
+    assert name_values(gather_evidence([view], some, Question(asked.object, Tolerance(1e-2))))["gap"] == NO_GAP
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_the_press_is_how_much_deeper_the_touch_shows_the_object_than_the_pose(
     shown = np.where(depth_m < PRESS_M, seen_m, PRESS_M).astype(np.float32)  # the block is flat
     touch = Touch(ContactShape(shown, PRESS_M), scene.geometry)
     wrong, T = View(touch, scene.match_touch(touch)), make_translation([0, 0, above_m]) @ true_pose
-    found = gather_evidence([wrong], [suppose(wrong, T)], Asked(scene.object, Tolerance()))
+    found = gather_evidence([wrong], [suppose(wrong, T)], Question(scene.object, Tolerance()))
     assert found.press_m == pytest.approx([deeper_m], abs=1e-6)
     assert name_values(found)["mean_press"] == pytest.approx(np.log(1e3 * abs(deeper_m) + 0.01), abs=0.01)
 
@@ -113,7 +113,7 @@ def test_probes_along_an_open_slide_lose_nothing_and_others_lose(make_box, make_
         T = scene.press(PRESS_M).bring_to_contact(np.eye(4)[None])[0][0]
         touch = Touch(scene.contact_shape(T, PRESS_M), scene.geometry)
         seen, along = View(touch, scene.match_touch(touch)), np.diag([1e-6, *[1e-10] * 2, *[1e-8] * 3])
-        found = gather_evidence([seen], [suppose(seen, T, along)], Asked(scene.object, Tolerance()))
+        found = gather_evidence([seen], [suppose(seen, T, along)], Question(scene.object, Tolerance()))
         assert found.probe_losses.shape == (2 * DIRECTIONS,)
         losses.append(found.probe_losses[:2])
         said = name_values(found)
@@ -126,7 +126,7 @@ def test_probes_along_an_open_slide_lose_nothing_and_others_lose(make_box, make_
 def test_a_probe_that_the_prior_excludes_loses_more(view, true_pose):
     first = suppose(view, true_pose, SURE)
     free, held = (
-        gather_evidence([view], [first], Asked(view.scene.object, Tolerance(), prior)).probe_losses
+        gather_evidence([view], [first], Question(view.scene.object, Tolerance(), prior)).probe_losses
         for prior in (None, lambda T: np.full(len(T), -6.0))
     )
     assert held == pytest.approx(free + 6 / NATS_PER_IOU)
@@ -136,7 +136,7 @@ def test_the_error_of_a_sensor_pose_costs_its_nats(view, true_pose):
     views = [replace(view, sensor_std_m=1e-3, sensor_std_rad=0.01)] * 2
     moved = np.stack([true_pose, make_translation([2e-3, 0, 0]) @ true_pose])
     first = replace(suppose(view, true_pose), refined=refine(true_pose, T_sensors_object=moved))
-    said = name_values(gather_evidence(views, [first], Asked(view.scene.object, Tolerance())))
+    said = name_values(gather_evidence(views, [first], Question(view.scene.object, Tolerance())))
     assert said["most_sensor_nats"] == pytest.approx(2**2 / 2 / 2)  # both sensors may be off
     assert said["mean_sensor_nats"] == pytest.approx(said["most_sensor_nats"] / 2)
     assert said["touches"] == 2

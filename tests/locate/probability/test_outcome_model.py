@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.locate.probability.evidence import FEATURES, SURFACE, Evidence, describe_surface
-from tactile_loc.locate.probability.outcome import FIT_FEATURES, Trees, load_outcome_model, share_outcome
+from tactile_loc.locate.probability.outcome_model import FIT_FEATURES, Trees, load_outcome_model, share_outcome
 from tactile_loc.locate.result.verdict import Outcome
 
 BASE = np.array([0.3, -0.2, 0.1])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from message_helpers import naming
 
 from tactile_loc.core.geometry.rigid import invert, make_translation
 from tactile_loc.core.runtime.errors import ResultError
@@ -73,15 +74,16 @@ def test_the_posterior_and_the_verdict_are_read_back(pair):
     assert again.agreement == found.agreement or vars(again.agreement) == vars(found.agreement)
     assert again.tolerance == found.tolerance
     assert again.outcome.right == again.probability_within() == found.probability_within()
-    assert again.outcome.missed == found.posterior.elsewhere
+    assert again.outcome.missed == found.outcome.missed
     assert again.poor_touches == found.poor_touches
     assert str(again.freedom) == str(found.freedom)
 
 
-def test_a_copy_without_unlisted_hypotheses_states_probabilities_within_other_tolerances(pair):
-    for found in pair:
-        p = [found.probability_within(text) for text in ("0.01mm", "1mm", "10mm")]
-        assert 0 < p[0] < p[2] < 1
+def test_only_a_result_with_all_its_hypotheses_states_probabilities_within_other_tolerances(pair):
+    found, again = pair
+    assert 0 < found.probability_within("0.01mm") < found.probability_within("10mm") < 1
+    with pytest.raises(ResultError, match=naming("0.01mm")):
+        again.probability_within("0.01mm")
 
 
 def test_the_touches_are_read_back(pair):

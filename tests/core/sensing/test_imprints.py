@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactile_loc.core.places.imprints import (
+from tactile_loc.core.sensing.imprints import (
     AREA_NATS,
     DEPTH_NATS,
     FAR_OFF_M,

@@ -72,16 +72,9 @@ class OutcomeModel:
     about: Mapping[str, Any]
 
     def predict(self, evidence: Evidence) -> Outcome:
-        """Return the probabilities of the outcomes of a result.
-
-        The first pose is not more probable than the poses that explain the touches exactly as well. If all hypotheses
-        are within the tolerance of it, none of them can be another right pose.
-        """
+        """Return the probabilities of the outcomes of a result: see `settle`."""
         right, another, missed = np.clip(self.trees.predict(evidence.values), LEAST, 1 - LEAST).tolist()
-        if evidence.near.all():
-            return Outcome(right, 0.0, 1 - right)
-        shared = min(right, (1 - missed) / (1 + evidence.ties))
-        return Outcome(shared, another + right - shared, missed)
+        return settle(right, another, missed, evidence.near, evidence.ties)
 
     def measure_excess(self, evidence: Evidence) -> Float64:
         """Return how much more of each of N touches the first pose leaves unexplained than right poses, (N,).
@@ -91,6 +84,18 @@ class OutcomeModel:
         count = np.full(len(evidence.fits), len(evidence.fits))
         most = np.column_stack([np.ones(len(count)), count, evidence.fits[:, 1:]]) @ self.limits
         return np.asarray(evidence.fits[:, 0] - most)
+
+
+def settle(right: float, another: float, missed: float, near: NDArray[np.bool_], ties: int) -> Outcome:
+    """Return the outcome of a result with these probabilities, whose hypotheses are `near` (K,) the first one or not.
+
+    The first pose is not more probable than the `ties`, the poses that explain the touches as well. If all hypotheses
+    are near, none of them can be another right pose.
+    """
+    if near.all():
+        return Outcome(right, 0.0, 1 - right)
+    shared = min(right, (1 - missed) / (1 + ties))
+    return Outcome(shared, another + right - shared, missed)
 
 
 def spread_outcome(
@@ -109,7 +114,8 @@ def share_outcome(weights: Float64, near: NDArray[np.bool_], outcome: Outcome) -
     all are equally probable.
     """
     missed, wanted = outcome.missed, outcome.right / (outcome.right + outcome.another)
-    nats, low, high = np.log(np.maximum(weights, 1e-300) / weights.max()), 0.0, MOST_POWER
+    nats = np.log(np.maximum(weights, 1e-300) / weights.max())
+    low, high = (1.0, 1.0) if near.all() else (0.0, MOST_POWER)
     for _ in range(POWER_STEPS):
         powered = np.exp((low + high) / 2 * nats)
         low, high = (
