@@ -81,7 +81,7 @@ def test_a_result_is_judged_by_its_outcome_and_by_what_its_first_pose_leaves_une
     assert poor.assessment.poor_touches == (0,)
     grid_pose = RefinedPose(certain.best.T_sensor_object_grid, 1.0, True, 0)
     unrefined = replace(poor, hypotheses=(replace(certain.best, refined=grid_pose),))
-    assert (unrefined.poor_touches, unrefined.verdict) == ((), Verdict.CERTAIN), "its imprint means little"
+    assert (unrefined.poor_touches, unrefined.verdict) == ((), Verdict.AMBIGUOUS), "it has no covariance"
     assert replace(certain, unexpected=True).verdict is Verdict.AMBIGUOUS
 
 
