@@ -223,7 +223,8 @@ def run(words: list[str]) -> None:
     if words[1] == "evaluate" and "--object" not in words:
         cheaper = [*cheaper, "--object", "pin", "--object", "head"]  # of the six
     done = CliRunner().invoke(app, [*words[1:], *cheaper], prog_name="tactile-loc")
-    assert done.exit_code == 0, (words, done.stderr)
+    uncertain = done.exit_code == 3 and "--require" in words  # that is no fault of the page
+    assert done.exit_code == 0 or uncertain, (words, done.stderr)
 
 
 @pytest.mark.slow
