@@ -97,4 +97,5 @@ def choose_placement(found: Localization, placements: Sequence[Placement], used:
         gains[int(rated.approach.name)] += rated.information
     for approach, _ in chosen.out_of_reach:
         gains.pop(int(approach.name), None)
+    gains = gains or dict.fromkeys(range(len(placements)), 0.0)  # no placement separates the poses
     return placements[max(gains, key=lambda number: (placements[number].name not in used, gains[number]))]

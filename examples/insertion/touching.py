@@ -21,7 +21,8 @@ from tactile_loc.plugin import bring_to_contact, invert, make_transform, registr
 Pose = NDArray[np.float64]
 
 SENSOR = {"name": "gelsight-mini", "options": {"gel": "layer", "image_size_px": [160, 120]}}
-TOLERANCE = f"tip:0.6mm,2deg@0,0,{1e3 * TIP_Z_M:g}"  # the chamfers catch errors of the tip up to 0.9 mm
+TOLERANCE = f"tip:0.9mm@0,0,{1e3 * TIP_Z_M:g}"  # the chamfers catch errors of the tip up to 0.9 mm
+CONFIDENCE = 0.85  # the fingers feel if the tip meets the plate, so a wrong insertion costs little
 NOISE = "mild"
 ENCODER_STD_M, ENCODER_STD_RAD = 1e-4, np.radians(0.2)  # errors of the gels' reported poses
 LEAST_PRESS_M = 5e-5
@@ -31,7 +32,7 @@ SIDES = {"left": -1, "right": 1}
 def make_localizer(part: Part, folder: Path, store: StageStore | None = None) -> Localizer:
     """Return the localizer of a part. The part's mesh is written to `folder`."""
     path = write_mesh(part, folder)
-    return Localizer.create(path, units="m", sensor=SENSOR, tolerance=TOLERANCE, store=store)
+    return Localizer.create(path, units="m", sensor=SENSOR, tolerance=TOLERANCE, confidence=CONFIDENCE, store=store)
 
 
 def find_gel(side: str, opening_m: float, surface_m: float) -> Pose:

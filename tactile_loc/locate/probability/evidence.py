@@ -107,18 +107,21 @@ def gather_evidence(views: Sequence[View], hypotheses: Sequence[Hypothesis], ask
         probed_ious = np.where(beyond, probed_ious - np.maximum(0.0, weights) / NATS_PER_IOU, -1.0)
     surface = np.stack([describe_surface(view.touch) for view in views])
     one, own = residuals[0], ious[0]
+    drawn = (
+        1 - float(np.exp(one[:, 0]).mean()) + LEAST_UNEXPLAINED
+    )  # as the probes: errors of sensor poses cost nothing
     values = [
         np.array([len(views), own]),
         *(one.mean(axis=0), one.max(axis=0), surface.mean(axis=0)),
         np.array([surface[:, 0].min(), *surface[:, [0, 2, 4]].max(axis=0)]),
         np.array([not all(v.touch.has_depths for v in views), asked.contradictory, len(T), len(T) - len(rivals)]),
         _compare(own, ious[rivals], one, residuals[1:2] if len(rivals) else None, np.log(1e-3 + ratios[rivals])),
-        _compare(own, probed_ious, one, None if probes is None else residuals[len(compared) :]),
+        _compare(drawn, probed_ious, one, None if probes is None else residuals[len(compared) :]),
         np.log(np.full(DIRECTIONS, NO_STD_M) if probes is None else probes.std_m + 1e-6),
     ]
     fits = np.column_stack([one[:, 0], surface])
     equal = int((own - ious[rivals] < TIE_IOU).sum())
-    losses = own - probed_ious
+    losses = drawn - probed_ious
     return Evidence(np.concatenate(values).astype(float), ratios <= 1, equal, fits, press_m[0], probes, losses)
 
 
