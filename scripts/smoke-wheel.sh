@@ -82,7 +82,6 @@ needs learned run --encoder moco --out refused
 needs recordings replay empty.mcap --image-topic /gel/image --object hook
 needs step run --object empty.step --units mm --touch touch.npz --out refused
 needs sweep sweep --object hook --out refused
-needs testing plugins refiner icp --check --properties
 needs video calibrate empty.mp4 --ball-radius 3 --mm-per-px 0.06 --out refused
 needs view run --rerun refused.rrd --out refused
 
