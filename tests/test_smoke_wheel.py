@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SCRIPT = ROOT / "scripts" / "smoke-wheel.sh"
-NAMED_NOWHERE = {"dev", "docs", "mutate", "sim"}  # extras that no message of a command names
+NAMED_NOWHERE = {"dev", "docs", "mutate", "sim", "testing"}  # extras that no message of a command names
 
 PYTHON = """\
 #!/bin/sh
@@ -46,7 +46,6 @@ library*) refuse library ;;
 replay*) refuse recordings ;;
 *.step*) refuse step ;;
 sweep*) refuse sweep ;;
-*--properties*) refuse testing ;;
 *empty.mp4*) refuse video ;;
 *--rerun*) refuse view ;;
 app) refuse app ;;
