@@ -21,7 +21,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, rotation_about, transform_points
+from tactile_loc.core.geometry.rigid import Poses, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
@@ -34,16 +34,15 @@ COINCIDENT_M = 1e-9  # smaller distances count as this distance
 PRECISION_M, INTERVALS = 1e-7, 24  # precision of the pose error; first number of intervals of rolls
 HALVINGS = 60  # most halvings of one interval
 
-Array = NDArray[np.float64]
 FEW_SYMMETRIES = 8  # up to this number of symmetries, all are measured with all points
 ALIKE = 1.25  # symmetries are tried up to this multiple of the least root mean square distance
 TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried ones, points per try, fully measured ones
 AT_ONCE = 32  # transforms applied to all points at once
 
-Points = NDArray[np.float64]
+Float64 = NDArray[np.float64]
 
 
-def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
+def compute_adds(obj: ObjectModel, points_m: Float64, T_estimates: Poses, T_true: Poses) -> Float64:
     """Return ADD (K,), metres, of estimates (K, 4, 4): the least over the poses symmetric to the true pose (4, 4).
 
     If there are many symmetries, some with a small root mean square distance are selected. These symmetries are tried
@@ -65,8 +64,8 @@ def compute_adds(obj: ObjectModel, points_m: Points, T_estimates: Poses, T_true:
 
 
 def measure_pose_errors(
-    obj: ObjectModel, T: Poses, T_other: Poses, points_m: Points | None = None, limit_m: float = 0.0
-) -> NDArray[np.float64]:
+    obj: ObjectModel, T: Poses, T_other: Poses, points_m: Float64 | None = None, limit_m: float = 0.0
+) -> Float64:
     """Return the pose errors (K,), metres, between poses T (K, 4, 4) and T_other, (K, 4, 4) or (4, 4).
 
     With `points_m` (P, 3), metres, in the object's frame, only these points count, not the whole surface. A positive
@@ -84,8 +83,7 @@ def measure_pose_errors(
         run_in_threads(_fill_errors, len(T), (T, others, same), corners_m, limit_m, errors_m)
         return errors_m
     flipped = np.ascontiguousarray(others[:, None] @ _list_flips(obj))
-    frame = (np.ascontiguousarray(symmetry.continuous_axis, np.float64), np.ascontiguousarray(symmetry.centre_m))
-    run_in_threads(_fill_rolled_errors, len(T), (T, flipped), frame, corners_m, limit_m, errors_m)
+    run_in_threads(_fill_rolled_errors, len(T), (T, flipped), _find_frame(obj), corners_m, limit_m, errors_m)
     return errors_m
 
 
@@ -216,7 +214,7 @@ def _bound_largest(waves, middle, half, enough):
     return largest
 
 
-def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: int = 1) -> NDArray[np.float64]:
+def compute_add_s(points_m: Float64, T_estimates: Poses, T_true: Poses, every: int = 1) -> Float64:
     """Return ADD-S (ADI) (K,), metres, of estimates (K, 4, 4) and the true pose (4, 4).
 
     This is the mean distance from object points (P, 3) at the true pose to the nearest point at the estimate. The mean
@@ -228,16 +226,16 @@ def compute_add_s(points_m: Points, T_estimates: Poses, T_true: Poses, every: in
     return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
 
 
-def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> NDArray[np.float64]:
+def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> Float64:
     """Return the root mean square surface distances (K, E), metres, between estimates (K, 4, 4) and poses (E, 4, 4)."""
     from scipy.spatial.distance import cdist
 
     metric = PoseMetric(obj)
-    distances: NDArray[np.float64] = cdist(metric.embed(T_estimates), metric.embed(same))
+    distances: Float64 = cdist(metric.embed(T_estimates), metric.embed(same))
     return distances
 
 
-def _choose_alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
+def _choose_alike(rms_m: Float64) -> NDArray[np.int64]:
     """Choose TRIED of the E symmetries for each estimate, spread evenly over those near the least distance."""
     order = np.argsort(rms_m, axis=1)
     least = np.take_along_axis(rms_m, order[:, :1], axis=1)
@@ -246,31 +244,32 @@ def _choose_alike(rms_m: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.take_along_axis(order, steps.astype(np.int64), axis=1)
 
 
-def _measure_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
+def _measure_distances(points_m: Float64, difference: Poses) -> Float64:
     """Return the distances (D, P), metres, of points (P, 3) between poses whose matrices differ by (D, 4, 4)."""
     moved = difference[:, :3, :3] @ points_m.T + difference[:, :3, 3:]
     return np.sqrt(np.einsum("dip,dip->dp", moved, moved))
 
 
-def _average_distances(points_m: Points, difference: Poses) -> NDArray[np.float64]:
+def _average_distances(points_m: Float64, difference: Poses) -> Float64:
     """Return mean distances (...,), metres, of points (P, 3) between poses whose matrices differ by (..., 4, 4)."""
     flat = difference.reshape(-1, 4, 4)
     means = [_measure_distances(points_m, flat[i : i + AT_ONCE]).mean(axis=1) for i in range(0, len(flat), AT_ONCE)]
     return np.concatenate(means).reshape(difference.shape[:-2])
 
 
-def find_least_mean(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> float:
+def find_least_mean(obj: ObjectModel, points_m: Float64, T_estimate: Poses, T_true: Poses) -> float:
     """Return the least mean distance, metres, of points (P, 3) between a pose (4, 4) and the rolled true pose (4, 4).
 
     The least is over all rolls about the object's continuous axis of symmetry.
     """
     few_m = points_m[:: max(1, len(points_m) // ROLL_POINTS)]
-    few = [_fit_sinusoids(obj, few_m, T_estimate, T_true @ S) for S in _list_flips(obj)]
+    flipped = T_true @ _list_flips(obj)
+    few, lowest = zip(*(_fit_sinusoids(obj, few_m, T_estimate, T) for T in flipped), strict=True)
     evenly = np.linspace(0.0, 2 * np.pi, TRIED_ROLLS, endpoint=False)
-    tried = [np.append(evenly, _find_lowest(f.mean(axis=0))) for f in few]
+    tried = [np.append(evenly, roll) for roll in lowest]
     means_m = np.stack([_measure_rolled(f, rolls).mean(axis=1) for f, rolls in zip(few, tried, strict=True)])
     best, place = np.unravel_index(int(means_m.argmin()), means_m.shape)
-    every = _fit_sinusoids(obj, points_m, T_estimate, T_true @ _list_flips(obj)[best])
+    every, _ = _fit_sinusoids(obj, points_m, T_estimate, flipped[best])
     roll = _iterate_weiszfeld(every, _iterate_weiszfeld(few[best], tried[best][place], ROUNDS_FEW), ROUNDS_ALL)
     return float(_measure_rolled(every, roll).mean())
 
@@ -280,30 +279,34 @@ def _list_flips(obj: ObjectModel) -> Poses:
     return obj.symmetry.list_elements(np.pi)[::2]
 
 
-def _fit_sinusoids(obj: ObjectModel, points_m: Array, T_estimate: Poses, T_true: Poses) -> Array:
-    """Return the sinusoids (P, 3), a, b and c, m^2, of the squared distances of points (P, 3) between poses (4, 4)."""
-    axis = np.asarray(obj.symmetry.continuous_axis)
-    offset = points_m - obj.symmetry.centre_m
-    along = (offset @ axis)[:, None] * axis
-    R = T_true[:3, :3]
-    fixed = transform_points(T_estimate, points_m) - transform_points(T_true, obj.symmetry.centre_m + along)
-    cosine, sine = (offset - along) @ R.T, offset @ (R @ rotation_about(axis, np.pi / 2) - R @ np.outer(axis, axis)).T
-    constant = np.einsum("pi,pi->p", fixed, fixed) + np.einsum("pi,pi->p", cosine, cosine)
-    return np.column_stack([constant, *(-2 * np.einsum("pi,pi->p", fixed, wave) for wave in (cosine, sine))])
+def _find_frame(obj: ObjectModel) -> tuple[Float64, Float64]:
+    """Return the unit direction (3,) of the continuous axis of symmetry, and a point (3,) of it, metres."""
+    symmetry = obj.symmetry
+    return np.ascontiguousarray(symmetry.continuous_axis, np.float64), np.ascontiguousarray(symmetry.centre_m)
 
 
-def _find_lowest(sinusoids: Array) -> Array:
+def _fit_sinusoids(obj: ObjectModel, points_m: Float64, T_estimate: Poses, T_true: Poses) -> tuple[Float64, float]:
+    """Return the sinusoids (P, 3), a, b and c, m^2, of the squared distances of points (P, 3) between poses (4, 4).
+
+    Also return the roll, radians, of their least mean.
+    """
+    points_m, T, other = (np.ascontiguousarray(each, np.float64) for each in (points_m, T_estimate, T_true))
+    waves = np.empty((len(points_m), 3))
+    return waves, _fit_waves(T, other, _find_frame(obj), points_m, waves)
+
+
+def _find_lowest(sinusoids: Float64) -> Float64:
     """Return the rolls (...,), radians, at the minima of sinusoids (..., 3)."""
     return np.asarray(np.arctan2(-sinusoids[..., 2], -sinusoids[..., 1]))
 
 
-def _measure_rolled(sinusoids: Array, rolls: Array | float) -> Array:
+def _measure_rolled(sinusoids: Float64, rolls: Float64 | float) -> Float64:
     """Return the distances (..., P), metres, whose squares are sinusoids (P, 3), at rolls (...,), radians."""
     waves = np.stack([np.ones_like(rolls), np.cos(rolls), np.sin(rolls)], axis=-1)
     return np.sqrt(np.maximum(waves @ sinusoids.T, 0.0))
 
 
-def _iterate_weiszfeld(sinusoids: Array, roll: Array | float, rounds: int) -> Array | float:
+def _iterate_weiszfeld(sinusoids: Float64, roll: Float64 | float, rounds: int) -> Float64 | float:
     """Return the roll, radians, after `rounds` of Weiszfeld's iteration for the mean distance.
 
     `sinusoids` (P, 3) are the squared distances.
