@@ -9,6 +9,7 @@ because the IoU distinguishes poses well in touches without noise.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -48,12 +49,7 @@ def compare_imprints(
     A pixel is in contact if its depth is below the press depth and `observed` (H, W) is True. A pose whose contact does
     not overlap that of the touch has IoUs of 0.
     """
-    count = len(made_m)
-    made_m, seen_m = np.ascontiguousarray(made_m, np.float32), np.ascontiguousarray(seen_m, np.float32)
-    sums = np.empty((count, 5))
-    observed = np.ascontiguousarray(observed)
-    run_in_threads(_add_imprints, count, made_m, seen_m, np.float32(press_depth_m), observed, sums)
-    common, either, least, most, off_m = sums.T
+    common, either, least, most, off_m = _sum_up(_add_imprints, 5, made_m, seen_m, press_depth_m, observed)
     imprint_ious = least / np.maximum(most, 1.0)
     area_mm2 = common * (1e3 * pixel_pitch_m) ** 2
     mean_off_m = off_m / np.maximum(common, 1)
@@ -61,16 +57,43 @@ def compare_imprints(
     return Explained(common / np.maximum(either, 1), imprint_ious, evidence)
 
 
+def _sum_up(
+    add: Callable[..., None],
+    count: int,
+    made_m: Float32,
+    seen_m: Float32,
+    press_depth_m: float,
+    observed: NDArray[np.bool_],
+) -> Floats:
+    """Return the `count` sums (count, N) that a kernel, `add`, makes of the contact depths of N poses and a touch."""
+    made_m, seen_m = np.ascontiguousarray(made_m, np.float32), np.ascontiguousarray(seen_m, np.float32)
+    sums = np.empty((len(made_m), count))
+    observed = np.ascontiguousarray(observed)
+    run_in_threads(add, len(made_m), made_m, seen_m, np.float32(press_depth_m), observed, sums)
+    return sums.T
+
+
+@njit(fast=True)
+def _weigh_pixel(mine, other, press):
+    """Return whether two contact depths, metres, are in contact, and the smaller of both imprints and the larger.
+
+    An imprint is a share of the press depth plus OUTLINE_SHARE.
+    """
+    zero, top, scale = np.float32(0), np.float32(1 + OUTLINE_SHARE), np.float32(1) / press
+    touches, touched = mine < press, other < press
+    a = top - mine * scale if touches else zero
+    b = top - other * scale if touched else zero
+    return touches, touched, min(a, b), max(a, b)
+
+
 @njit(fast=True)
 def _add_imprints(first, last, made, seen, press, observed, sums):
     """Fill `sums` (N, 5) for the contact depths `made` (N, H, W) from first to last, and those of a touch (H, W).
 
     The sums are the number of pixels in contact in both, and in one of them; the smaller of both imprints, and the
-    larger, each as a share of the press depth plus OUTLINE_SHARE; and the difference of depths in common contact,
-    metres, at most FAR_OFF_M each.
+    larger; and the difference of depths in common contact, metres, at most FAR_OFF_M each.
     """
-    zero, top, far = np.float32(0), np.float32(1 + OUTLINE_SHARE), np.float32(FAR_OFF_M)
-    scale = np.float32(1) / press
+    zero, far = np.float32(0), np.float32(FAR_OFF_M)
     for k in range(first, last):
         common, either, least, most, off = 0, 0, 0.0, 0.0, 0.0
         for row in range(seen.shape[0]):
@@ -79,11 +102,9 @@ def _add_imprints(first, last, made, seen, press, observed, sums):
                 if not observed[row, column]:
                     continue
                 mine, other = made[k, row, column], seen[row, column]
-                touches, touched = mine < press, other < press
-                a = top - mine * scale if touches else zero
-                b = top - other * scale if touched else zero
-                lower += min(a, b)
-                upper += max(a, b)
+                touches, touched, smaller, larger = _weigh_pixel(mine, other, press)
+                lower += smaller
+                upper += larger
                 either += touches or touched
                 if touches and touched:
                     common += 1
@@ -114,10 +135,8 @@ def measure_residuals(
     made_m: Float32, seen_m: Float32, press_depth_m: float, observed: NDArray[np.bool_], pixel_pitch_m: float
 ) -> Residuals:
     """Return what the contact depths (N, H, W), metres, of N poses leave unexplained of a touch's (H, W), metres."""
-    made_m, seen_m = np.ascontiguousarray(made_m, np.float32), np.ascontiguousarray(seen_m, np.float32)
-    observed, sums = np.ascontiguousarray(observed), np.empty((len(made_m), 10))
-    run_in_threads(_add_residuals, len(made_m), made_m, seen_m, np.float32(press_depth_m), observed, sums)
-    common, seen, made, edges, least, most, offset, squared, steps, turned = sums.T
+    sums = _sum_up(_add_residuals, 10, made_m, seen_m, press_depth_m, observed)
+    common, seen, made, edges, least, most, offset, squared, steps, turned = sums
     seen, mean_m = np.maximum(seen, 1), offset / np.maximum(common, 1)
     relief_m = np.sqrt(np.maximum(squared / np.maximum(common, 1) - mean_m**2, 0.0))
     missing, extra = (seen - common) / seen, (made - common) / seen
@@ -134,8 +153,7 @@ def _add_residuals(first, last, made, seen, press, observed, sums):
     smaller of both imprints, and the larger; in common contact the difference of depths, metres, and its square; and
     the number of steps between neighbours in common contact, and the squares of the differences of steps, m^2.
     """
-    zero, top, far = np.float32(0), np.float32(1 + OUTLINE_SHARE), np.float32(FAR_OFF_M)
-    scale = np.float32(1) / press
+    far = np.float32(FAR_OFF_M)
     height, width = seen.shape
     for k in range(first, last):
         common, touched_count, touching_count, edges, steps = 0, 0, 0, 0, 0
@@ -145,10 +163,8 @@ def _add_residuals(first, last, made, seen, press, observed, sums):
                 if not observed[row, column]:
                     continue
                 mine, other = made[k, row, column], seen[row, column]
-                touches, touched = mine < press, other < press
-                a = top - mine * scale if touches else zero
-                b = top - other * scale if touched else zero
-                least, most = least + min(a, b), most + max(a, b)
+                touches, touched, smaller, larger = _weigh_pixel(mine, other, press)
+                least, most = least + smaller, most + larger
                 touched_count += touched
                 touching_count += touches
                 for side in range(2):
