@@ -17,7 +17,7 @@ from tactile_loc.core.sensing.scene import View
 from tactile_loc.locate.hypotheses import compare, count_touches_with_depths, merge_hypotheses, turn_half_steps, weigh
 from tactile_loc.locate.method import LocatingMethod, Query
 from tactile_loc.locate.probability.conformal import PoseSet, Ranking
-from tactile_loc.locate.probability.evidence import Question, gather_evidence
+from tactile_loc.locate.probability.evidence import Evidence, Question, gather_evidence
 from tactile_loc.locate.probability.outcome_model import load_outcome_model, spread_outcome
 from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
 from tactile_loc.locate.result.localization import Localization
@@ -82,25 +82,44 @@ def conclude(query: Query, method: LocatingMethod, solution: Solution) -> Locali
         evidence = gather_evidence(trusted, known, asked)
         outcome = load_outcome_model().predict(evidence)
         hypotheses, missed = spread_outcome(known, evidence.near, outcome)
-        pose_set = None if query.coverage is None else choose_set(query.coverage, trusted, known, asked, method)
+        pose_set = None
+        if query.coverage is not None:
+            pose_set = choose_set(query.coverage, trusted, known, asked, evidence, method)
         kept = hypotheses[: query.top if pose_set is None else pose_set.poses]
         listed = method.refinement.add_covariances(query.views, kept)
     placed = tuple(replace(h, T_base_sensor=touch.T_base_sensor) for h in listed)
     posterior = replace(solution.posterior, elsewhere=missed if method.source.may_miss else 0.0)
-    found = Localization(touch, posterior, placed, query.times.seconds, tuple(others), pose_set, agreement)
-    unexpected = is_unexpected(prior, hypotheses[0].T_sensor_object, scene.object.mesh.centroid_m)
-    found = replace(found, config=method.config, unlisted=hypotheses[len(placed) :], unexpected=unexpected, prior=prior)
-    return replace(found, evidence=evidence, outcome=outcome)
+    return Localization(
+        touch,
+        posterior,
+        placed,
+        query.times.seconds,
+        tuple(others),
+        pose_set,
+        agreement,
+        config=method.config,
+        unlisted=hypotheses[len(placed) :],
+        unexpected=is_unexpected(prior, hypotheses[0].T_sensor_object, scene.object.mesh.centroid_m),
+        prior=prior,
+        evidence=evidence,
+        outcome=outcome,
+    )
 
 
 def choose_set(
-    coverage: float, views: Sequence[View], hypotheses: Sequence[Hypothesis], asked: Question, method: LocatingMethod
+    coverage: float,
+    views: Sequence[View],
+    hypotheses: Sequence[Hypothesis],
+    asked: Question,
+    evidence: Evidence,
+    method: LocatingMethod,
 ) -> PoseSet:
     """Return the set of hypotheses that contains the true pose with the probability `coverage`, 0 to 1.
 
-    A pose is right within 1 mm, whatever tolerance the verdict has.
+    A pose is right within 1 mm, whatever tolerance was asked for and the `evidence` has.
     """
-    evidence = gather_evidence(views, hypotheses, replace(asked, tolerance=ONE_MILLIMETRE))
+    if asked.tolerance != ONE_MILLIMETRE:
+        evidence = gather_evidence(views, hypotheses, replace(asked, tolerance=ONE_MILLIMETRE))
     spread, missed = spread_outcome(hypotheses, evidence.near, load_outcome_model().predict(evidence))
     doubt = ""
     if asked.contradictory:

@@ -1,4 +1,4 @@
-"""The evidence for the first pose of a result: numbers from which `outcome` computes how probably it is right.
+"""The evidence for the first pose of a result: numbers that `outcome_model` makes a probability of.
 
 They state how well the first pose explains the touches, how much worse other poses explain them, and how noisy and how
 large the touches are. The other poses are the best pose that is not within the tolerance of the first pose, and probes.
@@ -63,10 +63,10 @@ class Evidence:
     """What a result shows about its first pose: `values` (F,), in the order of FEATURES.
 
     `near` (K,) marks the hypotheses within the tolerance of the first one, and `ties` is the number of others that
-    explain the touches exactly as well. `fits` (N, 1 + S) are, for each touch, the log of the share that the first
-    pose leaves unexplained, and the SURFACE. `press_m` (N,), metres, is how much deeper the touch shows the object
-    than the first pose has it. `probes` are those of the first pose, None if its covariance is unknown.
-    `probe_losses` (2 D,) are how much imprint IoU they lose.
+    lose less than TIE_IOU. `fits` (N, 1 + S) are, for each touch, the log of the share that the first pose leaves
+    unexplained, and the SURFACE. `press_m` (N,), metres, is how much deeper the touch shows the object than the first
+    pose has it. `probes` are those of the first pose, None if its covariance is unknown. `probe_losses` (2 D,) are how
+    much imprint IoU they lose.
     """
 
     values: Float64
@@ -89,7 +89,7 @@ def gather_evidence(views: Sequence[View], hypotheses: Sequence[Hypothesis], ask
     ious = np.array([h.imprint_iou for h in hypotheses]) - unlikely
     ratios = tolerance.measure_ratios(obj, T[0], T)
     rivals = np.flatnonzero(ratios > 1)
-    compared, poses = [first], []
+    compared = [first]
     if len(rivals):
         compared.append(hypotheses[int(rivals[ious[rivals].argmax()])])
     seen = find_seen_poses(views, [h.refined for h in compared])
@@ -107,9 +107,8 @@ def gather_evidence(views: Sequence[View], hypotheses: Sequence[Hypothesis], ask
         probed_ious = np.where(beyond, probed_ious - np.maximum(0.0, weights) / NATS_PER_IOU, -1.0)
     surface = np.stack([describe_surface(view.touch) for view in views])
     one, own = residuals[0], ious[0]
-    drawn = (
-        1 - float(np.exp(one[:, 0]).mean()) + LEAST_UNEXPLAINED
-    )  # as the probes: errors of sensor poses cost nothing
+    # The mean imprint IoU as that of the probes: errors of sensor poses cost nothing
+    drawn = 1 - float(np.exp(one[:, 0]).mean()) + LEAST_UNEXPLAINED
     values = [
         np.array([len(views), own]),
         *(one.mean(axis=0), one.max(axis=0), surface.mean(axis=0)),
@@ -133,15 +132,15 @@ def _compare(
     `one` (N, R) are the residuals of the first pose, and `others` (K, N, R) those of the poses, or (1, N, R) of the
     best one. `distances` (K,) are the logarithms of the poses' distances from the first pose, in tolerances.
     """
-    lone = () if distances is None else (0.0,)
     if others is None or not len(ious):
-        return np.array([NO_GAP, 1.0, 0, 0, *lone, NO_GAP, *np.full(one.shape[1], NO_GAP)])
+        distance = () if distances is None else (0.0,)
+        return np.array([NO_GAP, 1.0, 0, 0, *distance, NO_GAP, *np.full(one.shape[1], NO_GAP)])
     best = int(ious.argmax())
     more = (others[best] if len(others) == len(ious) else others[0]) - one
     gap = np.log(1 - min(ious[best], 1.0) + LEAST_UNEXPLAINED) - np.log(1 - min(own, 1.0) + LEAST_UNEXPLAINED)
-    lone = () if distances is None else (distances[best],)
+    distance = () if distances is None else (distances[best],)
     counts = [(own - ious <= near).sum() for near in NEAR_GAPS]
-    return np.array([gap, own - ious[best], *counts, *lone, more[:, 0].max(), *more.mean(axis=0)])
+    return np.array([gap, own - ious[best], *counts, *distance, more[:, 0].max(), *more.mean(axis=0)])
 
 
 def _measure_residuals(views: Sequence[View], seen: Poses, T: Poses) -> tuple[Float64, Float64]:

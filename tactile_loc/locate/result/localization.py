@@ -392,8 +392,8 @@ class Localization:
 
     def describe_within(self) -> str:
         """State in words how probable it is that the first pose is right; empty if the verdict makes it misleading."""
-        known = self.outcome is not None and self.depths_known
-        return describe_within(self.verdict, self.outcome.right if known and self.outcome else None, self.tolerance)
+        right = self.outcome.right if self.outcome is not None and self.depths_known else None
+        return describe_within(self.verdict, right, self.tolerance)
 
     def describe_search(self) -> str:
         """State in words the number of scored poses, and the probability that the object is at none of them."""
