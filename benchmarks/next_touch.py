@@ -49,7 +49,7 @@ from identify import measure_once
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
@@ -140,7 +140,7 @@ def judge(localizer: Localizer, touches: list[Touch], truth: Poses | None = None
         return Outcome()
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     true = np.asarray(touches[0].T_sensor_object if truth is None else truth)
-    off_m = measure_surface_distances(localizer.object.mesh, poses, true)
+    off_m = measure_shape_distances(localizer.object.mesh, poses, true)
     right = off_m < RIGHT_M
     mass = float(sum(h.probability for h, one in zip(found.hypotheses, right, strict=True) if one))
     certain = found.verdict is Verdict.CERTAIN

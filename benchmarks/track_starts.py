@@ -40,7 +40,7 @@ from tactile_loc_benchmark.sliding_touches import Frame, SlidingTouches
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.core.runtime.errors import TactileLocError, TouchError
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.noise import NOISE
@@ -137,7 +137,7 @@ def locate_keys(localizer: Localizer, touches: Sequence[Touch]) -> tuple[float, 
     except TactileLocError:
         return np.inf, False, False
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
-    off_m = measure_surface_distances(localizer.object.mesh, poses, np.asarray(touches[0].T_sensor_object))
+    off_m = measure_shape_distances(localizer.object.mesh, poses, np.asarray(touches[0].T_sensor_object))
     rivals = np.array([h.imprint_iou for h in found.hypotheses])[MM * off_m >= RIGHT_MM]
     determined = not explain_as_well(rivals, explain_by_truth(localizer, touches, found.agreement.outliers)).any()
     return MM * float(off_m[0]), found.verdict is Verdict.CERTAIN, determined
@@ -159,7 +159,7 @@ def measure_off_mm(localizer: Localizer, T: np.ndarray | None, frame: Frame) -> 
     """Return the surface distance, mm, of a pose (4, 4), metres, in a frame's sensor frame; infinite without a pose."""
     if T is None:
         return np.inf
-    return MM * float(measure_surface_distances(localizer.object.mesh, T[None], frame.T_sensor_object)[0])
+    return MM * float(measure_shape_distances(localizer.object.mesh, T[None], frame.T_sensor_object)[0])
 
 
 def locate_by_keys(localizer: Localizer, frames: Sequence[Frame]) -> Iterator[tuple[float, bool, bool]]:

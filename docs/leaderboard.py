@@ -48,6 +48,7 @@ MERITS: tuple[tuple[str, int | None, int] | None, ...] = (
     ("median_determined_m", None, -1),
     ("auc", None, 1),
     ("average_recall_mssd", None, 1),
+    ("shape_within_1_mm", None, 1),
     ("calibration_error", None, -1),
     None,
     None,

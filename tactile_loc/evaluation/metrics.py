@@ -2,49 +2,31 @@
 
 All errors take symmetry into account: see `core.poses.pose_errors`. The metrics of a posterior are likelihood, credible
 level, entropy, spread and coverage.
-
-The surface distance is the mean distance of the surface at the estimate from the surface at the true pose. It is ADD-S
-with the nearest point of the surface instead of the nearest sampled point, so it is 0 for the true pose.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.pose_errors import compute_adds, measure_pose_errors
 from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc.core.poses.tolerance import measure_shape_distances
 
 POSTERIOR_METRICS = ("nll_nats", "credible_level", "entropy_nats", "expected_error_m", "spread_m")
 LEVELS = (0.5, 0.8, 0.95)
 SURFACE_POINTS = 10_000  # for ADD
-METRICS = ("surface", "add", "mssd")  # of an answer
-GAP_POINTS = 2000  # points of the surface, whose distances are averaged
+METRICS = ("mssd", "add", "shape")  # of an answer: pose error, ADD and shape distance
 STEP_M = 2e-5  # step along a continuous symmetry to find the nearest symmetric pose
 
 Points = NDArray[np.float64]
-
-
-def compute_surface_distances(obj: ObjectModel, T_estimates: Poses, T_true: Poses) -> NDArray[np.float64]:
-    """Return the surface distances (K,), metres, of estimates (K, 4, 4) from the true pose (4, 4).
-
-    The distance is the mean over GAP_POINTS points of the surface, which are always the same. Each point is
-    compared with the nearest surface point at the true pose, or at the pose symmetric to it that is nearest to the
-    estimate.
-    """
-    truths = np.broadcast_to(T_true, T_estimates.shape)
-    truths = PoseMetric(obj).nearest_equivalents(truths, T_estimates, STEP_M)
-    points_m = obj.mesh.sample(GAP_POINTS, np.random.default_rng(0))
-    moves = (invert(truth) @ T for truth, T in zip(truths, T_estimates, strict=True))
-    return np.array([_measure_gaps(obj.mesh, transform_points(move, points_m)).mean() for move in moves])
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,32 +49,11 @@ class PoseJudge:
     def measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
         """Return the METRICS (K, M), metres, of poses (K, 4, 4) and the true pose (4, 4)."""
         errors = (
-            compute_surface_distances(self.object, poses, T_true),
-            compute_adds(self.object, self.points_m, poses, T_true),
             measure_pose_errors(self.object, poses, T_true),
+            compute_adds(self.object, self.points_m, poses, T_true),
+            measure_shape_distances(self.object.mesh, poses, T_true),
         )
         return np.stack(errors, axis=1)
-
-
-def _measure_gaps(mesh: TriangleMesh, points_m: Points) -> NDArray[np.float64]:
-    """Return the distances (P,), metres, of points (P, 3) from a surface."""
-    from open3d.core import Tensor
-
-    points_mm = (1e3 * (points_m - mesh.centroid_m)).astype(np.float32)
-    gaps_mm: NDArray[np.float32] = _build_scene(mesh).compute_distance(Tensor.from_numpy(points_mm)).numpy()
-    return 1e-3 * gaps_mm.astype(float)
-
-
-@lru_cache(maxsize=8)
-def _build_scene(mesh: TriangleMesh) -> Any:
-    """Return a mesh's search structure in mm about its centroid, because its numbers have single precision."""
-    from open3d.core import Tensor
-    from open3d.t.geometry import RaycastingScene
-
-    scene = RaycastingScene()
-    vertices_mm = (1e3 * (mesh.vertices_m - mesh.centroid_m)).astype(np.float32)
-    scene.add_triangles(Tensor.from_numpy(vertices_mm), Tensor.from_numpy(mesh.faces.astype(np.uint32)))
-    return scene
 
 
 def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -1,8 +1,8 @@
 """The summary of located examples: recall, verdicts, the reliability of verdicts and probabilities, and statistics.
 
-Recall at a threshold is the share of examples with a smaller error. Examples without a pose count as missed. Averages
-of recall over thresholds follow the BOP toolkit (Hodan et al., ECCVW 2020). There, MSSD has ten thresholds, from 5 to
-50 % of the object's diameter.
+Recall at a threshold is the share of examples whose pose error is at most the threshold. Examples without a pose count
+as missed. The average recall of MSSD, the pose error, follows the BOP toolkit (Hodan et al., ECCVW 2020). It has ten
+thresholds, from 5 to 50 % of the object's diameter.
 """
 
 from __future__ import annotations
@@ -16,15 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.locate.result.verdict import REFUSED, Verdict
 
 VERDICTS = (*(verdict.value for verdict in Verdict), REFUSED)
-RIGHT_M = 1e-3  # a pose with a smaller surface distance is right
 WITHIN_M = (0.5e-3, 1e-3, 5e-3)
-CURVE_M = tuple(
-    1e-4 * np.arange(1, 51)
-)  # 0.1, 0.2, ... 5 mm, for the area under the recall curve of the surface distance
+CURVE_M = tuple(1e-4 * np.arange(1, 51))  # 0.1, 0.2, ... 5 mm, for the area under the recall curve
 DIAMETER_SHARES = tuple(0.05 * np.arange(1, 11))  # for the average recall of MSSD
 PROBABILITY_BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 SURE = 1.96  # standard deviations of a normal distribution that hold 95 %
@@ -63,11 +61,12 @@ class ExampleSummary:
     """Summary of E examples that are located from the same number of touches. Shares are 0 to 1, lengths in metres.
 
     `within` and `listed_within` are the recalls of the first pose, and of any listed pose, at WITHIN_M. `auc`, the area
-    under the recall curve, is the mean recall at CURVE_M. `average_recall_mssd` is the mean recall of MSSD at
-    DIAMETER_SHARES of the diameter. `verdicts` counts the examples with each verdict. `certain_right` is the share of
-    certain examples with a right first pose, and `certain_right_range` its 95 % confidence interval (Wilson).
-    `determined_right` and `determined_certain` are the shares of the determined examples with a right first pose, and
-    with the verdict certain. Values of no examples are None.
+    under the recall curve, is the mean recall at CURVE_M. `average_recall_mssd` is the mean recall at DIAMETER_SHARES
+    of the diameter. `shape_within_1_mm` is the recall of the shape distance at 1 mm. `verdicts` counts the examples
+    with each verdict. `certain_right` is the share of certain examples with a right first pose, and
+    `certain_right_range` its 95 % confidence interval (Wilson). `determined_right` and `determined_certain` are the
+    shares of the determined examples with a right first pose, and with the verdict certain. Values of no examples are
+    None.
     """
 
     examples: int
@@ -77,6 +76,8 @@ class ExampleSummary:
     listed_auc: float
     average_recall_mssd: float
     listed_average_recall_mssd: float
+    shape_within_1_mm: float
+    listed_shape_within_1_mm: float
     median_m: float | None
     determined: int
     determined_right: float | None
@@ -107,6 +108,8 @@ class ExampleSummary:
             listed_auc=float(listed_curve.mean()),
             average_recall_mssd=average_mssd_recall(table, "first"),
             listed_average_recall_mssd=average_mssd_recall(table, "listed"),
+            shape_within_1_mm=float(measure_recall(table, [1e-3], "first", "shape")[0]),
+            listed_shape_within_1_mm=float(measure_recall(table, [1e-3], "listed", "shape")[0]),
             median_m=find_median(table.errors_m()),
             determined=int(determined.sum()),
             determined_right=_average(right[determined]),
@@ -121,18 +124,20 @@ class ExampleSummary:
 
 
 def find_right(table: ExampleTable) -> NDArray[np.bool_]:
-    """Return whether the first pose of each example (E,) is right: within RIGHT_M, by surface distance."""
-    return np.asarray(table.errors_m() < RIGHT_M)
+    """Return whether the first pose of each example (E,) is right: its pose error is at most RIGHT_M."""
+    return np.asarray(table.errors_m() <= RIGHT_M)
 
 
-def measure_recall(table: ExampleTable, thresholds_m: ArrayLike, line: str = "first") -> NDArray[np.float64]:
-    """Return the recall (T,), 0 to 1, of the surface distance of a line's poses at thresholds (T,), metres."""
-    return np.asarray((table.errors_m(line)[:, None] < np.asarray(thresholds_m)).mean(axis=0))
+def measure_recall(
+    table: ExampleTable, thresholds_m: ArrayLike, line: str = "first", metric: str = "mssd"
+) -> NDArray[np.float64]:
+    """Return the recall (T,), 0 to 1, of a line's poses at thresholds (T,), metres, of a metric, the pose error."""
+    return np.asarray((table.errors_m(line, metric)[:, None] <= np.asarray(thresholds_m)).mean(axis=0))
 
 
 def average_mssd_recall(table: ExampleTable, line: str = "first") -> float:
-    """Return the mean recall of MSSD over the thresholds DIAMETER_SHARES of each object's diameter, 0 to 1."""
-    relative = table.errors_m(line, "mssd") / table["diameter_m"]
+    """Return the mean recall over the thresholds DIAMETER_SHARES of each object's diameter, 0 to 1."""
+    relative = table.errors_m(line) / table["diameter_m"]
     return float((relative[:, None] < np.asarray(DIAMETER_SHARES)).mean())
 
 

@@ -68,8 +68,8 @@ class ExampleTable:
             found.setdefault(key, []).append(row)
         return {key: self.select(rows) for key, rows in found.items()}
 
-    def errors_m(self, line: str = "first", metric: str = "surface") -> NDArray[np.float64]:
-        """Return the errors (E,) of the poses of a line, metres."""
+    def errors_m(self, line: str = "first", metric: str = "mssd") -> NDArray[np.float64]:
+        """Return the errors (E,) of the poses of a line, metres; "mssd" is the pose error."""
         return self[f"{line} {metric}_m"]
 
     def count_refused(self) -> int:

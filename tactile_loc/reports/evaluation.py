@@ -22,7 +22,7 @@ from tactile_loc.io.toml import format_toml
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import encode_gallery
 
-METRIC_NAMES = {"surface": "surface distance", "add": "ADD", "mssd": "MSSD", "add-s": "ADD-S"}
+METRIC_NAMES = {"mssd": "pose error (MSSD)", "add": "ADD", "add-s": "ADD-S", "shape": "shape distance"}
 FIRST_LINE = "chosen"  # error that the curves show first
 CONTACTS_LINE = "best-1"  # error in the main numbers for several contacts
 BEYOND_MM = 1e6  # stands for the error of an example without a pose
@@ -94,7 +94,7 @@ def make_recall_page(path: Path) -> Page:
     unlocated = tables.list_problems(table)
     sections = [
         Section("summary", "", {"numbers": list(_list_shares(shown))}),
-        Section("recall", "Recall", {**choices, "rows": tables.tabulate_recall(rows)}),
+        Section("recall", "Recall", {**choices, "note": tables.RECALL_NOTE, "rows": tables.tabulate_recall(rows)}),
         Section("verdicts", "Verdicts", {"rows": tables.tabulate_verdicts(rows)}),
         Section("reliability", "Reliability of the probabilities", {"rows": tables.tabulate_bins(rows)}),
         *([Section("problems", "Examples without a pose", {"problems": unlocated})] if unlocated else []),

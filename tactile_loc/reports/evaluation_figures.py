@@ -316,8 +316,8 @@ def _label_recall(axes: Axes) -> None:
     axes.set(xlim=(SHORTEST_MM, LONGEST_MM), ylim=(0, 101))
     for within_m in WITHIN_M:
         axes.axvline(1e3 * within_m, color="#a0aec0", lw=1, ls=(0, (2, 2)), zorder=0)
-    axes.set_xlabel("surface distance (mm)")
-    axes.set_ylabel("examples with a smaller error (%)")
+    axes.set_xlabel("pose error (mm)")
+    axes.set_ylabel("examples within the pose error (%)")
     axes.set_title("Recall: thick = first pose, thin = any listed pose", size=10)
     draw_grid(axes)
 

@@ -67,7 +67,7 @@ def test_touches_of_simulate_are_evaluated(cli, tmp_path):
     (result,) = record["summary"]
     assert (result["touches"], result["examples"], result["verdicts"]["refused"]) == (1, 3, 1)
     assert (run["noise"], run["seed"]) == ("own touches", None)
-    errors = record["examples"]["first surface_m"]
+    errors = record["examples"]["first mssd_m"]
     assert [error is None for error in errors] == [False, True, False]
 
 

@@ -12,10 +12,10 @@ from tactile_loc.evaluation.table import ExampleTable
 DIAMETER_M = 0.1
 
 
-def make_table(first_mm, listed_mm=None, probability=0.5, verdict="ambiguous", mssd_mm=None) -> ExampleTable:
+def make_table(first_mm, listed_mm=None, probability=0.5, verdict="ambiguous", shape_mm=None) -> ExampleTable:
     listed_mm = first_mm if listed_mm is None else listed_mm
     errors = {
-        f"{line} {metric}_m": 1e-3 * np.array(mssd_mm if mssd_mm and metric == "mssd" else errors_mm, float)
+        f"{line} {metric}_m": 1e-3 * np.array(shape_mm if shape_mm and metric == "shape" else errors_mm, float)
         for line, errors_mm in (("first", first_mm), ("listed", listed_mm))
         for metric in METRICS
     }
@@ -36,7 +36,7 @@ def test_the_area_under_the_curve_is_the_mean_recall_from_a_tenth_to_five_millim
 
 
 def test_the_average_recall_of_mssd_has_ten_thresholds_of_the_diameter():
-    s = ExampleSummary.of(make_table([9, 9, 9], mssd_mm=[4.9, 12, 60]))
+    s = ExampleSummary.of(make_table([4.9, 12, 60]))
     assert s.average_recall_mssd == pytest.approx((10 + 8 + 0) / 30)
 
 
@@ -45,6 +45,16 @@ def test_verdicts_are_counted_and_certain_ones_are_judged_within_a_millimetre():
     assert {verdict: n for verdict, n in s.verdicts.items() if n} == {"certain": 3, "poor fit": 1}
     assert s.certain_right == pytest.approx(2 / 3)
     assert s.determined_certain == pytest.approx(3 / 4)
+
+
+def test_a_small_shape_distance_makes_no_pose_right():
+    s = ExampleSummary.of(make_table([2.0, 0.5], shape_mm=[0.1, 0.1], verdict="certain"))
+    assert (s.within[1], s.certain_right, s.shape_within_1_mm) == (0.5, 0.5, 1.0)
+
+
+def test_a_pose_at_the_threshold_is_within_it():
+    s = ExampleSummary.of(make_table([1.0], verdict="certain"))
+    assert (s.within[1], s.certain_right) == (1.0, 1.0)
 
 
 def test_without_certain_examples_there_is_no_reliability():

@@ -10,7 +10,7 @@ from message_helpers import naming
 
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.metrics import compute_nees
@@ -398,7 +398,7 @@ def test_a_touch_of_a_turned_face_determines_its_shape_but_not_its_pose(store):
     touch = localizer.simulate(3, seed=11)[2]
     found = localizer.localize(touch)
     truth = np.asarray(touch.T_sensor_object)
-    off_m = measure_surface_distances(localizer.object.mesh, found.best.T_sensor_object[None], truth)
+    off_m = measure_shape_distances(localizer.object.mesh, found.best.T_sensor_object[None], truth)
     assert off_m[0] < 3e-4
     assert (found.verdict, found.probability_within() < 0.5) == (Verdict.AMBIGUOUS, True)
     assert found.freedom.turn_rad.any()

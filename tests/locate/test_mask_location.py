@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from locate_helpers import draw_examples, list_poses, locate_together
 
-from tactile_loc.core.poses.tolerance import measure_surface_distances
+from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.touches import write_touch
@@ -43,7 +43,7 @@ def test_three_masks_locate_the_object(localizer, examples):
     off_m = []
     for touches in examples:
         found, truth = locate_together(localizer, touches), touches[0].T_sensor_object
-        off_m.append(measure_surface_distances(localizer.object.mesh, list_poses(found), truth).min())
+        off_m.append(measure_shape_distances(localizer.object.mesh, list_poses(found), truth).min())
         assert found.verdict is not Verdict.CERTAIN
     assert np.count_nonzero(np.array(off_m) < 1e-3) >= 4
 

@@ -40,8 +40,8 @@ def test_scripts_draw_the_errors_of_every_example_in_mm(folder, table):
     drawn, groups = page_in(folder).data["groups"], tables.group_answers(table)
     assert [tuple(group[name] for name in tables.GROUP) for group in drawn] == list(groups)
     errors_mm = sorted(1e3 * next(iter(groups.values())).errors_m())
-    assert drawn[0]["errors_mm"]["first"]["surface"][:-1] == pytest.approx(errors_mm[:-1], rel=1e-4)
-    assert drawn[0]["errors_mm"]["first"]["surface"][-1] == 1e6  # without a pose
+    assert drawn[0]["errors_mm"]["first"]["mssd"][:-1] == pytest.approx(errors_mm[:-1], rel=1e-4)
+    assert drawn[0]["errors_mm"]["first"]["mssd"][-1] == 1e6  # without a pose
 
 
 def test_examples_without_a_pose_are_listed_with_their_reason(folder):

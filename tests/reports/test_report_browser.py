@@ -168,12 +168,12 @@ def test_the_page_of_what_run_answers_is_drawn_and_its_menus_work(show, recall_f
     assert set(plots(browser)) == {"curves", "verdicts-plot", "reliability-plot"}
     assert min(plots(browser).values()) > 0
     table = ExampleTable.read(json.loads((recall_folder / "recall.json").read_text())["examples"])
-    for name, value in (("object", "hook"), ("noise", "strong"), ("kind", "listed"), ("metric", "mssd")):
+    for name, value in (("object", "hook"), ("noise", "strong"), ("kind", "listed"), ("metric", "shape")):
         choose(browser, name, value)
     x, y = browser.execute_script(
         "const t = document.getElementById('curves').data[1]; return [Array.from(t.x), Array.from(t.y)]"
     )
-    errors = 1e3 * table.group("object", "noise", "touches")["hook", "strong", 3].errors_m("listed", "mssd")
+    errors = 1e3 * table.group("object", "noise", "touches")["hook", "strong", 3].errors_m("listed", "shape")
     known = sorted(errors[errors <= 50])
     assert x[1:-1] == pytest.approx([max(e, 0.02) for e in known], rel=1e-4)
     assert y[-1] == pytest.approx(100 * len(known) / len(errors))

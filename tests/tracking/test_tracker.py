@@ -12,9 +12,10 @@ from track_settings import SETTINGS
 from tactile_loc.core.geometry.lie import compute_pose_errors, move
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.evaluation.metrics import compute_nees, compute_surface_distances
+from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.options import TrackerOptions
 from tactile_loc.locate.localizer import Localizer
@@ -68,7 +69,7 @@ def off_mm(localizer: Localizer, T: np.ndarray, truth: np.ndarray) -> float:
 
 def off_surface_mm(localizer: Localizer, found: TrackedPose, truth: np.ndarray) -> float:
     """Return the shape distance: one noisy touch of the pin leaves turns about its axis open."""
-    return 1e3 * float(compute_surface_distances(localizer.object, found.T_sensor_object[None], truth)[0])
+    return 1e3 * float(measure_shape_distances(localizer.object.mesh, found.T_sensor_object[None], truth)[0])
 
 
 def test_a_slide_is_tracked_and_the_covariance_holds_the_truth(pin, slide):

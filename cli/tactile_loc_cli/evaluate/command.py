@@ -29,7 +29,7 @@ Given = Annotated[
 def evaluate(*, given: Given, asked: Asked) -> dict[str, Any]:
     """Measure how often `run` is right.
 
-    Each object is located from 1 to N touches with known poses, simulated or your own. Errors are surface distances.
+    Each object is located from 1 to N touches with known poses, simulated or your own. Errors are pose errors.
     The results are recall, verdicts and times (docs/evaluation.md). With several encoders, an option goes to the
     encoders that have it. After an interruption, the same command resumes.
     """

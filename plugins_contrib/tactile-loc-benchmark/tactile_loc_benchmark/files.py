@@ -20,14 +20,16 @@ from tactile_loc_benchmark.summary import WITHIN_M
 HEAD = (
     *("source", "touches", "method"),
     *("within 0.5 mm", "1 mm (95 % interval)", "2 mm", "5 mm", "any listed, 1 mm", "median, mm"),
-    *("determined: within 1 mm", "median, mm", "AUC", "MSSD", "calibration error", "covered, 95 %"),
+    *("determined: within 1 mm", "median, mm", "AUC", "AR MSSD", "shape, 1 mm", "calibration error", "covered, 95 %"),
     *("certain: right", "time"),
 )
 TABLE_NOTE = (
-    "A pose is measured by its surface distance. The first shares are of examples whose first pose is near enough. "
-    "Examples without a pose count as missed. Intervals are bootstrap intervals over the examples. Determined: "
-    "examples in which no method lists a wrong pose that explains the touches as well as the true pose. AUC: mean "
-    "share within 0.1, 0.2, ... 5 mm. MSSD: average recall of BOP. Certain: examples that the method calls certain."
+    "A pose is measured by its pose error, MSSD: the largest displacement of a surface point. The first shares are of "
+    "examples whose first pose is near enough. Examples without a pose count as missed. Intervals are bootstrap "
+    "intervals over the examples. Determined: examples in which no method lists a wrong pose that explains the touches "
+    "as well as the true pose. AUC: mean share within 0.1, 0.2, ... 5 mm. AR MSSD: mean share within 5, 10, ... 50 % "
+    "of the diameter, as in BOP. Shape: share of first poses with a shape distance of at most 1 mm: the mean distance "
+    "of the surfaces. Certain: examples that the method calls certain."
 )
 NAME, ROWS = "benchmark", "rows.parquet"
 MOST_BYTES = 2**28  # of a table in memory
@@ -222,6 +224,7 @@ def list_cells(group: Row) -> Iterator[str]:
     yield format_length(group["median_determined_m"])
     yield f"{group['auc']:.2f}"
     yield f"{group['average_recall_mssd']:.2f}"
+    yield format_share(group["shape_within_1_mm"])
     yield "-" if group["calibration_error"] is None else f"{group['calibration_error']:.2f}"
     yield format_share(group["covered"])
     yield f"{group['certain_right']} of {group['certain']}" if group["certain"] else "-"

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tactile_loc import PoseJudge, StageStore, hash_code
 from tactile_loc.plugin import (
     AnswerError,
@@ -30,8 +29,8 @@ from tactile_loc_benchmark.interfaces import LocatingProblem, Method, RecordedSo
 from tactile_loc_benchmark.suite import OWN, Suite, SuiteEntry, create, hash_component_code
 
 LISTED = 10  # most poses of an answer that are measured
-METRICS = ("surface", "add", "mssd")  # the columns of `PoseJudge.measure_errors`
-RIGHT_M = 1e-3  # a pose with a smaller surface distance is right
+METRICS = ("mssd", "add", "shape")  # the columns of `PoseJudge.measure_errors`
+RIGHT_M = 1e-3  # poses with pose errors up to this are right
 AS_WELL = 0.02  # a pose explains the touches as well as the true one if its imprint IoU is lower by at most this
 COVERED = 0.95  # probability of the poses that should include the true pose
 RENDERER = "heightmap"  # draws the poses that are compared with the true pose
@@ -131,27 +130,26 @@ class AnswerJudge:
         """
         poses = answer.T_base_object[:LISTED]
         errors_m = self.poses.measure_errors(poses, T_base_object)
-        surface_m = errors_m[:, METRICS.index("surface")]
-        row: Row = {"verdict": answer.verdict, "determined": self._is_determined(poses, surface_m, touches)}
+        right = errors_m[:, METRICS.index("mssd")] <= RIGHT_M
+        row: Row = {"verdict": answer.verdict, "determined": self._is_determined(poses[~right], touches)}
         for k, metric in enumerate(METRICS):
             first_mm, listed_mm = 1e3 * float(errors_m[0, k]), 1e3 * float(errors_m[:, k].min())
             row |= {f"{metric}_mm": first_mm, f"listed_{metric}_mm": listed_mm}
         if answer.probabilities is not None:
             p = answer.probabilities[:LISTED]
             enough = np.concatenate([[True], np.cumsum(p)[:-1] < COVERED])
-            row |= {"probability": float(p[0]), "covered": bool((surface_m[enough] < RIGHT_M).any())}
+            row |= {"probability": float(p[0]), "covered": bool(right[enough].any())}
         listed = {"T_base_object": poses.round(9).tolist(), "scores": answer.scores[:LISTED].tolist()}
         return {**row, "true_T_base_object": np.asarray(T_base_object).round(9).tolist(), **listed}
 
-    def _is_determined(self, poses: Poses, surface_m: NDArray[np.float64], touches: list[Touch]) -> bool:
-        """Return whether none of the poses that are wrong explains the touches as well as the true pose does."""
-        wrong = surface_m >= RIGHT_M
-        if not wrong.any():
+    def _is_determined(self, wrong: Poses, touches: list[Touch]) -> bool:
+        """Return whether none of the `wrong` poses (W, 4, 4) explains the touches as well as the true pose does."""
+        if not len(wrong):
             return True
         ious, true = [], []
         for touch in touches:
             T_sensor_base = invert(np.asarray(touch.T_base_sensor))
-            seen = np.concatenate([T_sensor_base @ poses[wrong], np.asarray(touch.T_sensor_object)[None]])
+            seen = np.concatenate([T_sensor_base @ wrong, np.asarray(touch.T_sensor_object)[None]])
             iou = self.scene.match_touch(touch).imprint_ious(seen, touch)
             ious.append(iou[:-1])
             true.append(iou[-1])

@@ -12,9 +12,7 @@ from tactile_loc.plugin import ConfigError
 from tactile_loc_benchmark.job import Row
 from tactile_loc_benchmark.results import Results, describe_used
 
-SCHEMA_VERSION = 1
-
-
+SCHEMA_VERSION = 2
 ABOUT_SOURCE, ABOUT_METHOD = ("protocol", "licence"), ("options", "paper", "libraries")
 
 
@@ -32,11 +30,14 @@ def record_leaderboard(results: Results) -> dict[str, Any]:
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Return a JSON file of a benchmark. Raises ConfigError if it cannot be read."""
+    """Return a JSON file of a benchmark. Raises ConfigError if it cannot be read, or has another version."""
     try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
+        document = dict(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
         raise ConfigError(f"{path} cannot be read ({error}); run the benchmark again") from error
+    if document.get("schema_version") != SCHEMA_VERSION:
+        raise ConfigError(f"{path} has another version than {SCHEMA_VERSION}; run the benchmark again")
+    return document
 
 
 def read_standings(path: Path) -> Iterator[Row]:
@@ -48,8 +49,6 @@ def read_standings(path: Path) -> Iterator[Row]:
     protocol can be compared. Raises ConfigError for a damaged file or one of another version.
     """
     document = read_document(path)
-    if document.get("schema_version") != SCHEMA_VERSION:
-        raise ConfigError(f"{path} has another version than {SCHEMA_VERSION}; run the benchmark again")
     try:
         for group in document["groups"]:
             source, method = document["sources"][group["source"]], document["methods"][group["method"]]

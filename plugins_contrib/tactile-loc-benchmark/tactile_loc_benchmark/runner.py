@@ -24,7 +24,7 @@ from tactile_loc_benchmark.results import Results, find_problems
 from tactile_loc_benchmark.suite import Suite, hash_shortly
 
 LIBRARIES = ("tactile-loc", "tactile-loc-benchmark", "numpy", "numba", "scipy", "trimesh", "open3d-cpu", "open3d")
-ROW_VERSION = 2  # increase it if the same method gets other rows
+ROW_VERSION = 3  # increase it if the same method gets other rows
 
 
 @dataclass(frozen=True, eq=False)

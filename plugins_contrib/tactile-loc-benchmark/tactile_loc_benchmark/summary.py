@@ -23,8 +23,9 @@ def summarise(rows: Sequence[Row]) -> list[Row]:
     """Return a row of JSON values for each source, method and number of touches, in the order of the rows.
 
     Shares are 0 to 1, lengths in metres. `within` and `listed_within` are the shares of examples whose first pose, or
-    any listed pose, has a surface distance below WITHIN_M. `within_range` has their 95 % intervals: examples of each
-    object are drawn with replacement. `auc` is the mean share at CURVE_M, and `average_recall_mssd` that of BOP's MSSD.
+    any listed pose, has a pose error of at most WITHIN_M. `within_range` has their 95 % intervals: examples of each
+    object are drawn with replacement. `auc` is the mean share at CURVE_M, and `average_recall_mssd` that at BOP's
+    shares of the diameter. `shape_within_1_mm` is the share of first poses with a shape distance of at most 1 mm.
     `median_determined_m` is over the examples whose touches determine the pose. `certain` is the number of examples
     called certain, `certain_right` the number of these whose first pose is right. `calibration_error` is the mean
     difference of stated probability and share of right poses, weighted by the examples in bins. `covered` is the share
@@ -72,7 +73,7 @@ def _name_example(row: Row) -> tuple[str, str, int, int]:
 
 def _summarise(table: ExampleTable) -> Row:
     summary, errors_m = ExampleSummary.of(table, WITHIN_M), table.errors_m()
-    inside = (errors_m[:, None] < np.array(WITHIN_M)).astype(float)
+    inside = (errors_m[:, None] <= np.array(WITHIN_M)).astype(float)
     certain, covered = table["verdict"] == Verdict.CERTAIN.value, table["covered"].astype(float)
     determined_m = float(np.median(errors_m[table["determined"]])) if summary.determined else np.inf
     return {
@@ -82,6 +83,7 @@ def _summarise(table: ExampleTable) -> Row:
         "listed_within": summary.listed_within,
         "auc": summary.auc,
         "average_recall_mssd": summary.average_recall_mssd,
+        "shape_within_1_mm": summary.shape_within_1_mm,
         "median_m": summary.median_m,
         "determined": summary.determined,
         "determined_within_1_mm": summary.determined_right,
@@ -89,7 +91,7 @@ def _summarise(table: ExampleTable) -> Row:
         "calibration_error": measure_calibration_error(summary),
         "covered": float(np.nanmean(covered)) if np.isfinite(covered).any() else None,
         "certain": int(certain.sum()),
-        "certain_right": int((certain & (errors_m < RIGHT_M)).sum()),
+        "certain_right": int((certain & (errors_m <= RIGHT_M)).sum()),
         "refused": table.count_refused(),
         "unlocated": int((table["problem"] != "").sum()),
         "median_s": summary.median_s,

@@ -40,7 +40,7 @@ def test_the_markdown_has_a_row_for_what_was_left_out_and_the_parquet_file_all_r
     assert "Anyone, anywhere" in text
     rows = read_rows(written / "rows.parquet")
     assert len(rows) == len(finished.results.rows)
-    assert rows[0]["surface_mm"] == finished.results.rows[0]["surface_mm"]
+    assert rows[0]["mssd_mm"] == finished.results.rows[0]["mssd_mm"]
 
 
 def test_the_failures_are_recorded(run_small, tmp_path):

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from tactile_loc_benchmark.files import list_cells
+from tactile_loc_benchmark.job import METRICS
 from tactile_loc_benchmark.summary import bootstrap, summarise
 
 
-def make_row(example=0, surface_mm=0.1, **changes):
-    errors = {f"{prefix}{name}_mm": surface_mm for prefix in ("", "listed_") for name in ("surface", "add", "mssd")}
+def make_row(example=0, error_mm=0.1, **changes):
+    errors = {f"{prefix}{name}_mm": error_mm for prefix in ("", "listed_") for name in METRICS}
     names = {"source": "s", "object": "o", "method": "m", "problem": "", "verdict": ""}
     numbers = {"example": example, "touches": 1, "refused": 0, "seconds": 0.5, "diameter_m": 0.04}
     return {**names, **numbers, "determined": True, **errors, **changes}

@@ -17,13 +17,13 @@ def rows_of(found, method):
 def test_right_and_wrong_poses_are_measured(finished):
     for row in rows_of(finished, "oracle"):
         assert row["problem"] == ""
-        assert row["surface_mm"] < 1e-3
         assert row["mssd_mm"] < 1e-3
+        assert row["shape_mm"] < 1e-3
         assert (row["verdict"], row["probability"], row["covered"]) == ("certain", 0.75, True)
         np.testing.assert_allclose(row["T_base_object"][0], row["true_T_base_object"], atol=1e-8)
         assert row["diameter_m"] == pytest.approx(np.linalg.norm([0.030, 0.020, 0.012]))
     for row in rows_of(finished, "guess"):
-        assert row["surface_mm"] > 1
+        assert row["mssd_mm"] > 1
         assert "probability" not in row
 
 

@@ -28,6 +28,7 @@ from tactile_loc.core.runtime.compiled import njit, run_in_threads
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
+RIGHT_M = 1e-3  # poses with pose errors up to this are right, if no other tolerance is given
 TRIED_ROLLS, ROLL_POINTS = 64, 300  # rolls and points that are tried to find a start near the least mean distance
 ROUNDS_FEW, ROUNDS_ALL = 12, 3  # rounds of Weiszfeld's iteration, with few points and with all points
 COINCIDENT_M = 1e-9  # smaller distances count as this distance

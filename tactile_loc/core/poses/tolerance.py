@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.surface_field import build_surface_field
-from tactile_loc.core.poses.pose_errors import measure_pose_errors
+from tactile_loc.core.poses.pose_errors import RIGHT_M, measure_pose_errors
 from tactile_loc.core.runtime.errors import ConfigError, quote
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Tolerance:
     finite.
     """
 
-    distance_m: float | None = 1e-3
+    distance_m: float | None = RIGHT_M
     rotation_rad: float | None = None
     of_shape: bool = False
     tip_m: tuple[float, float, float] | None = None
@@ -117,7 +117,7 @@ class Tolerance:
         With a positive `limit_m`, metres, a distance is only right in that it is or is not above this limit.
         """
         if self.of_shape:
-            return measure_surface_distances(obj.mesh, T, T_other, limit_m or math.inf)
+            return measure_shape_distances(obj.mesh, T, T_other, limit_m or math.inf)
         points_m = None if self.tip_m is None else np.array([self.tip_m])
         return measure_pose_errors(obj, T_other, T, points_m, limit_m)
 
@@ -135,10 +135,10 @@ class Tolerance:
         return [(scale * limit, unit) for scale, limit, unit in limits if limit is not None]
 
 
-def measure_surface_distances(
+def measure_shape_distances(
     mesh: TriangleMesh, T: Poses, T_other: Poses, most_m: float = math.inf
 ) -> NDArray[np.float64]:
-    """Return the mean distances (N,), metres, of the surface at poses T from the surface at poses T_other.
+    """Return the shape distances (N,), metres: the mean distances of the surface at poses T from that at T_other.
 
     One of the two has the shape (N, 4, 4), metres, and the other may have the shape (4, 4). Means up to `most_m` are
     right, and larger means may be too small.

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.core.runtime.errors import GridError, TouchError
 from tactile_loc.evaluation.fusion import sort_numbers
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
 from tactile_loc.evaluation.protocol import measure_in_shards
 from tactile_loc.evaluation.recall.examples import ExampleSource, TouchedExample
 from tactile_loc.evaluation.simulated_touches import require_true_pose
-from tactile_loc.evaluation.summary import RIGHT_M
 from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer, Observation, localize_together
 from tactile_loc.locate.probability.outcome_model import load_outcome_model
@@ -30,7 +30,7 @@ from tactile_loc.locate.result.verdict import REFUSED
 from tactile_loc.locate.sources.source import STAGE_VERSIONS
 from tactile_loc.store.keys import StageKey
 
-RECALL_VERSION = 2  # increase if verdicts or the method change without a change of key
+RECALL_VERSION = 3  # increase if verdicts or the method change without a change of key
 SHARD = 5  # examples located and saved at once
 ABSENT = ""  # verdict of an example that has too few touches
 
@@ -166,7 +166,7 @@ class _ExampleLocator:
         listed = found.hypotheses[: self.localizer.config.top]
         poses, k = _view_from_first(some, found)[: len(listed)], len(listed)
         errors_m = self._judge.measure_errors(poses, require_true_pose(some[0][1]))
-        determined = is_determined(some, listed, errors_m[:, METRICS.index("surface")])
+        determined = is_determined(some, listed, errors_m[:, METRICS.index("mssd")])
         located = self._fail(found.verdict.value, "")
         located.T_sensor_object[:k], located.errors_m[:k] = poses, errors_m
         located.probabilities[:k] = [hypothesis.probability for hypothesis in listed]
@@ -186,20 +186,20 @@ class _ExampleLocator:
 def is_determined(
     observations: Sequence[Observation],
     hypotheses: Sequence[Hypothesis],
-    surface_m: NDArray[np.float64],
+    errors_m: NDArray[np.float64],
     right_m: float = RIGHT_M,
 ) -> bool:
     """Return whether no listed wrong pose explains the touches as well as the true poses do.
 
-    `surface_m` (K,), metres, are the hypotheses' surface distances. A pose is wrong from `right_m`, metres. Raises
-    TouchError if a touch has no true pose.
+    `errors_m` (K,), metres, are the hypotheses' pose errors. A pose is wrong above `right_m`, metres. Raises TouchError
+    if a touch has no true pose.
     """
     true = [
         localizer.scene.match_touch(touch).imprint_ious(require_true_pose(touch)[None], touch)[0]
         for localizer, touch in observations
     ]
     ious = np.array([hypothesis.imprint_iou for hypothesis in hypotheses])
-    return not bool(((surface_m >= right_m) & explain_as_well(ious, float(np.mean(true)))).any())
+    return not bool(((errors_m > right_m) & explain_as_well(ious, float(np.mean(true)))).any())
 
 
 def _view_from_first(observations: Sequence[Observation], found: Localization) -> Poses:

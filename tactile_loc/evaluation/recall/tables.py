@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.evaluation.recall.evaluation import RECALL_VERSION
-from tactile_loc.evaluation.summary import CURVE_M, DIAMETER_SHARES, RIGHT_M, WITHIN_M, ExampleSummary
+from tactile_loc.evaluation.summary import CURVE_M, DIAMETER_SHARES, WITHIN_M, ExampleSummary
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
 from tactile_loc.evaluation.text_tables import (
     EvaluationResults,
@@ -23,15 +24,16 @@ from tactile_loc.evaluation.text_tables import (
     tabulate,
 )
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 ALL = "all"
 GROUP = ("object", "encoder", "noise", "touches")
-RECALL_TITLE = "share of examples with a smaller surface distance: first pose (any listed pose)"
+RECALL_TITLE = "share of examples within a pose error: first pose (any listed pose)"
 RECALL_NOTE = (
-    "Errors are surface distances: the mean distance of the surface at the located pose from the surface at the true "
-    "pose. The shares are of examples whose first pose (any listed pose) has a smaller error. Examples without a pose "
-    "count as missed. AUC: area under the recall curve, the mean of these shares at 0.1, 0.2, ... 5 mm. AR MSSD: the "
-    "mean for the largest distance of a surface point, at 5, 10, ... 50 % of the object's diameter, as in BOP."
+    "Errors are pose errors: the largest displacement of a surface point between the located and the true pose. The "
+    "shares are of examples whose first pose (any listed pose) is within the error. Examples without a pose count as "
+    "missed. AUC: area under the recall curve, the mean of these shares at 0.1, 0.2, ... 5 mm. AR MSSD: the mean at 5, "
+    "10, ... 50 % of the object's diameter, as in BOP. Shape: the shape distance is at most 1 mm. It is the mean "
+    "distance of the located surface from the true surface, which forgives a turned shaft. s: median time."
 )
 VERDICT_NOTE = (
     "Number of examples with each verdict. Right: share of the certain examples whose first pose is within 1 mm, with "
@@ -67,8 +69,9 @@ def tabulate_recall(rows: Sequence[Row]) -> Table:
     found = []
     for row in rows:
         pairs = dict(zip(WITHIN_M, zip(row["within"], row["listed_within"], strict=True), strict=True))
-        shares = {f"< {1e3 * within_m:g} mm": pair for within_m, pair in pairs.items()}
-        for head, name in (("AUC", "auc"), ("AR MSSD", "average_recall_mssd")):
+        shares = {f"{1e3 * within_m:g} mm": pair for within_m, pair in pairs.items()}
+        averages = {"AUC": "auc", "AR MSSD": "average_recall_mssd", "shape, 1 mm": "shape_within_1_mm"}
+        for head, name in averages.items():
             shares[head] = row[name], row[f"listed_{name}"]
         found.append(
             {
@@ -162,12 +165,13 @@ def _list_columns(row: Row) -> Row:
         for name in ("within", "listed_within")
         for m, share in zip(WITHIN_M, row[name], strict=True)
     }
-    averages = ("auc", "listed_auc", "average_recall_mssd", "listed_average_recall_mssd", "median_m")
+    averages = ("auc", "average_recall_mssd", "shape_within_1_mm")
     last = ("certain_right", "determined", "determined_right", "determined_certain", "median_s", "p90_s")
     return {
         **{name: row[name] for name in (*GROUP, "examples")},
         **within,
-        **{name: row[name] for name in averages},
+        **{name: row[name] for average in averages for name in (average, f"listed_{average}")},
+        "median_m": row["median_m"],
         **{verdict.replace(" ", "_"): count for verdict, count in row["verdicts"].items()},
         **{name: row[name] for name in last},
     }

@@ -236,7 +236,7 @@ def format_summary(sweep: Sweep, line: str) -> str:
     plan = sweep.plan
     seeds = f", mean over seeds {', '.join(map(str, plan.seeds))}" if len(plan.seeds) > 1 else ""
     parts: list[str | Table] = [
-        f"Median surface distance (ADD, symmetric poses equal) of `{line}` over {plan.count} simulated touches, "
+        f"Median ADD (symmetric poses equal) of `{line}` over {plan.count} simulated touches, "
         f"mm{seeds}. The best value of each column is bold."
     ]
     same = [f"{slot} {choices[0].name}" for slot, choices in plan.slots.items() if len(choices) == 1]

@@ -22,13 +22,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.formatting import format_mm
 
 RARE = 4.0  # at a level of 0.95, "elsewhere" is in the set if its probability is at least 0.05 times this
 ELSEWHERE = -1  # the number of the item "elsewhere"
 LISTED = 40  # fewest poses to refine for a set, if there are that many
-RIGHT_M = 1e-3  # pose error within which a refined pose counts as the true pose
 
 
 @dataclass(frozen=True, eq=False)

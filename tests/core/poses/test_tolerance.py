@@ -12,7 +12,7 @@ from pose_helpers import random_poses
 from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
-from tactile_loc.core.poses.tolerance import Tolerance, measure_surface_distances
+from tactile_loc.core.poses.tolerance import Tolerance, measure_shape_distances
 from tactile_loc.core.runtime.errors import ConfigError
 
 SIZE_M = (0.04, 0.03, 0.02)
@@ -79,7 +79,7 @@ def test_a_distance_is_the_pose_error_the_shape_distance_or_the_displacement_of_
     others = np.concatenate([T @ make_transform(rotation_about([1, 2, 1], [0.01, 0.1]), [3e-4, 0, 0]), [T]])
     found_m = {t: Tolerance.parse(t).measure_distances(box, T, others) for t in ("1mm", "shape:1mm", "tip:1mm@0,0,30")}
     assert found_m["1mm"] == pytest.approx(measure_pose_errors(box, others, T))
-    assert found_m["shape:1mm"] == pytest.approx(measure_surface_distances(box.mesh, T, others))
+    assert found_m["shape:1mm"] == pytest.approx(measure_shape_distances(box.mesh, T, others))
     moved_m = transform_points(others, tip_m[None])[:, 0] - transform_points(T, tip_m)  # on the axis of symmetry
     assert found_m["tip:1mm@0,0,30"] == pytest.approx(np.linalg.norm(moved_m, axis=1))
     angles_deg = np.degrees(box.symmetry.measure_least_angle(T[:3, :3], others[:, :3, :3]))
@@ -99,13 +99,13 @@ def test_the_shape_forgives_a_turned_shaft_and_a_tip_forgives_what_moves_elsewhe
         assert Tolerance.parse(text).find_within(plain, np.eye(4), turned).item() is within
 
 
-def test_the_surface_distance_is_the_mean_over_the_surface(make_box):
+def test_the_shape_distance_is_the_mean_over_the_surface(make_box):
     box, shift_m = make_box(*SIZE_M), 4e-4
     x, y, z = SIZE_M
     moved = make_translation([[0, 0, 0], [shift_m, 0, 0]])
     nearest_m = shift_m * y * z / (x * y + y * z + z * x)  # only the points of two faces leave the surface
     beyond_m = shift_m * shift_m / x / 2  # and those that overhang at the end
-    found_m = measure_surface_distances(box.mesh, np.eye(4), moved)
+    found_m = measure_shape_distances(box.mesh, np.eye(4), moved)
     assert found_m[0] == pytest.approx(0, abs=1e-5)
     assert found_m[1] == pytest.approx(nearest_m + beyond_m, rel=0.25)
 
@@ -119,16 +119,16 @@ def test_points_far_from_the_surface_count_fully(make_box):
     overhang_m = np.minimum(shift_m, x)  # its points are up to this far from the other box's end
     on_sides_m = overhang_m / x * (shift_m - overhang_m / 2)  # the mean over a side
     expected_m = (sides * on_sides_m + ends / 2 * shift_m) / (sides + ends)
-    found_m = measure_surface_distances(box.mesh, np.eye(4), moved)
+    found_m = measure_shape_distances(box.mesh, np.eye(4), moved)
     assert found_m == pytest.approx(expected_m, rel=0.1)
     assert not Tolerance.parse("shape:5mm").find_within(box, np.eye(4), moved).any()
 
 
 def test_a_mean_above_the_largest_one_is_never_returned_as_smaller(make_box):
     mesh, moved = make_box(0.2, 0.01, 0.01).mesh, make_translation([[0.002, 0, 0], [0.05, 0, 0], [1, 0, 0]])
-    right_m = measure_surface_distances(mesh, np.eye(4), moved)
+    right_m = measure_shape_distances(mesh, np.eye(4), moved)
     for most_m in (1e-4, 1e-3, 5e-3):
-        found_m = measure_surface_distances(mesh, np.eye(4), moved, most_m)
+        found_m = measure_shape_distances(mesh, np.eye(4), moved, most_m)
         assert found_m[right_m <= most_m] == pytest.approx(right_m[right_m <= most_m])
         assert (found_m[right_m > most_m] > most_m).all()
 

@@ -10,13 +10,13 @@ import pytest
 
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.core.runtime.errors import NoContactError
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
 from tactile_loc.evaluation.recall import evaluation as module
 from tactile_loc.evaluation.recall.evaluation import evaluate_recall, make_recall_key
 from tactile_loc.evaluation.recall.examples import DrawnExamples, TouchedExample
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.summary import RIGHT_M
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.store.store import StageStore
@@ -56,8 +56,8 @@ def test_the_listed_poses_are_those_of_run(hook, examples, found):
 
 def test_errors_are_ordered_as_their_definitions(hook, found):
     known = np.isfinite(found.errors_m())
-    surface, add, mssd = (found.errors_m("first", name)[known] for name in METRICS)
-    assert (surface <= add + 1e-9).all()
+    mssd, add, shape = (found.errors_m("first", name)[known] for name in METRICS)
+    assert (shape <= add + 1e-9).all()
     assert (add <= mssd + 1e-9).all()
     T = found["T_sensor_object"][known, 0]
     assert (PoseMetric(hook.object).symmetric_distance(T, found["T_true"][known]) <= mssd + 1e-9).all()
@@ -71,7 +71,7 @@ def test_a_wrong_pose_that_explains_the_touches_as_well_makes_them_undetermined(
     for row in undetermined:
         listed = alone["T_sensor_object"][row][np.isfinite(alone["probabilities"][row])]
         errors_m = PoseJudge(hook.object).measure_errors(listed, alone["T_true"][row])
-        assert (errors_m[:, METRICS.index("surface")] > RIGHT_M).any()
+        assert (errors_m[:, METRICS.index("mssd")] > RIGHT_M).any()
 
 
 @dataclasses.dataclass(frozen=True)

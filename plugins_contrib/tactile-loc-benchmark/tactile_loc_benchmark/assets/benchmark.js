@@ -49,7 +49,7 @@
   draw("curves-plot", (c) => {
     const range = [Math.log10(SHORTEST_MM), Math.log10(LONGEST_MM)];
     const yaxis = axis(c, { title: { text: "examples (%)" }, range: [0, 101] });
-    const xaxis = logAxis(c, "surface distance (mm)", { range });
+    const xaxis = logAxis(c, "pose error (mm)", { range });
     return { data: shown().map(curve), layout: { showlegend: true, xaxis, yaxis } };
   });
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from tactile_loc import RobotTouches
-from tactile_loc.evaluation.metrics import compute_surface_distances
+from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.plugin import ObjectModel, Poses, Touch, make_transform, rotation_about
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.plugins.sensors.presets import GelSightMini
@@ -33,14 +33,14 @@ class Example:
         return self.problem.object
 
     def measure_error_m(self, method: Method) -> float:
-        """Return the surface distance of the method's best pose from the true pose, metres.
+        """Return the shape distance of the method's best pose from the true pose, metres.
 
         If several poses have the best score, the least distance counts: the method cannot tell these poses apart.
         """
         method.prepare(self.problem)
         found = method.locate(self.problem, self.touches)
         best = found.T_base_object[found.scores >= found.scores.max() - TIE]
-        return float(compute_surface_distances(self.object, best, self.T_base_object).min())
+        return float(measure_shape_distances(self.object.mesh, best, self.T_base_object).min())
 
 
 @pytest.fixture(scope="session")
