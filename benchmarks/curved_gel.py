@@ -3,8 +3,8 @@
 
 Objects are pressed from any direction on the DIGIT with a spherical gel, by 30 to 90 % of the sensor's deepest press.
 The touches are drawn by ray casting. They are located with the geometry of the curved gel, and with the geometry of a
-flat gel. Touches on a flat gel are the reference. For one touch and for three, the table has the median error (root
-mean square over the surface, modulo symmetry), the share within 1 mm, and the share with any hypothesis within 1 mm.
+flat gel. Touches on a flat gel are the reference. For one touch and for three, the table has the median pose
+error, the share within 1 mm, and the share with any hypothesis within 1 mm.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def main() -> None:
                         found.append(find(localizer, [convert_touch(touch, localizer) for touch in touches]))
                     chosen, best = np.array([(one.chosen_mm, one.nearest_mm) for one in found]).T
                     print(
-                        f"| {name} | {count} | {case} | {np.median(chosen):.2f} | {(chosen < 1).mean():.0%} | "
-                        f"{(best < 1).mean():.0%} |",
+                        f"| {name} | {count} | {case} | {np.median(chosen):.2f} | {(chosen <= 1).mean():.0%} | "
+                        f"{(best <= 1).mean():.0%} |",
                         flush=True,
                     )
 

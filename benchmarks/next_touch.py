@@ -18,12 +18,11 @@ does:
 An approach that meets nothing, or only a flat face, is counted as a miss, and the method's next approach is tried. The
 same approach gives the same touch to all methods. Touches are drawn by ray casting, which the localizer does not use.
 The noise of the examples alternates between `--levels`. The press is 30 to 90 % of the sensor's deepest press the
-first time, and 60 % afterwards. A pose is right if its surface is within 1 mm of the true surface, symmetric poses
-included (mean distance).
+first time, and 60 % afterwards. A pose is right if its pose error is at most 1 mm.
 
 Two kinds of examples are left out. Easy ones have a certain and right result after the first touch. Undetermined ones
-have no located set of touches that determines the pose. A set determines the pose if no listed pose with a wrong
-surface explains the touches to within 0.02 of the true pose's imprint IoU.
+have no located set of touches that determines the pose. A set determines the pose if no listed wrong pose explains the
+touches to within 0.02 of the true pose's imprint IoU.
 
 The table has the mean number of touches until the first pose is right, and until it is right with the verdict certain.
 The first touch counts. A pose that stays unknown counts as one touch more than the most. Further columns are the ratio
@@ -49,13 +48,12 @@ from identify import measure_once
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.geometry.rigid import Poses, invert
-from tactile_loc.core.poses.tolerance import measure_shape_distances
+from tactile_loc.core.poses.pose_errors import RIGHT_M, measure_pose_errors
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.summary import RIGHT_M
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.localization import Localization
@@ -71,7 +69,7 @@ WANTED = ("known", "certain")
 
 
 class Outcome(NamedTuple):
-    """A result and how good it is; `mass` is the probability of poses with a right surface."""
+    """A result and how good it is; `mass` is the probability of right poses."""
 
     found: Localization | None = None
     right: bool = False
@@ -140,11 +138,11 @@ def judge(localizer: Localizer, touches: list[Touch], truth: Poses | None = None
         return Outcome()
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
     true = np.asarray(touches[0].T_sensor_object if truth is None else truth)
-    off_m = measure_shape_distances(localizer.object.mesh, poses, true)
-    right = off_m < RIGHT_M
+    errors_m = measure_pose_errors(localizer.object, poses, true)
+    right = errors_m <= RIGHT_M
     mass = float(sum(h.probability for h, one in zip(found.hypotheses, right, strict=True) if one))
     certain = found.verdict is Verdict.CERTAIN
-    determined = truth is None and is_determined(observations, found.hypotheses, off_m)
+    determined = truth is None and is_determined(observations, found.hypotheses, errors_m)
     return Outcome(found, bool(right[0]), certain, mass, determined)
 
 

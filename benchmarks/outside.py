@@ -6,8 +6,8 @@ mesh. They are drawn from four sources. The first is the same mesh. The second i
 normals, as in a scan (0.05 or 0.1 mm root mean square, with a correlation length of 2 mm). The third is a mesh
 decimated to 0.1 mm. The fourth is the same mesh with noise to which nothing was fitted (`UnseenNoise`). Each case has
 one touch on the known face (`face`, 3 mm), and three touches from any direction with a search of the whole object, as
-in `contacts.py`. The table has the median error (root mean square over the surface, modulo symmetry), the share within
-1 mm, and the share with any hypothesis within 1 mm. Meshes are given as FILE[:UNITS] or a demo object's name.
+in `contacts.py`. The table has the median pose error, the share within 1 mm, and the share with any hypothesis within
+1 mm. Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
 from __future__ import annotations
@@ -239,8 +239,8 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
         chosen, best = np.array([(one.chosen_mm, one.nearest_mm) for one in found]).T
         rows.append({
             "object": obj.name, "case": case, "touches": touches, "examples": len(found),
-            "median_mm": float(np.median(chosen)), "within_1_mm": float((chosen < 1).mean()),
-            "any_within_1_mm": float((best < 1).mean()), "faces": len(altered.mesh.faces),
+            "median_mm": float(np.median(chosen)), "within_1_mm": float((chosen <= 1).mean()),
+            "any_within_1_mm": float((best <= 1).mean()), "faces": len(altered.mesh.faces),
         })  # fmt: skip
     return rows
 

@@ -5,12 +5,12 @@ An object is pressed from random directions by 30 to 90 % of the sensor's deepes
 0.25 % of the sensor counts. Touches are drawn by ray casting, which the localizer does not use.
 
 For each object and sensor, the table has the number of places, the seconds to build them and to fit probabilities, the
-peak memory, the megabytes in the store, and the seconds to open the model. A hypothesis is right if it is within 1 mm
-of the truth (root mean square over the surface, modulo symmetry). The table has the share of touches whose first
-hypothesis is right, and the share with a right one among ten. All other touches are *ambiguous* if another pose
-explains the touch as well (imprint IoU within 0.01), *not listed* if the search found a pose within 1 mm, or *not
-found*. Then follow the median and the 95 % quantile of the time to ten refined hypotheses, and the shares by contact
-area. `--grid` and `--encoder` choose other components.
+peak memory, the megabytes in the store, and the seconds to open the model. A hypothesis is right if its pose error is
+at most 1 mm. The table has the share of touches whose first hypothesis is right, and the share with a right one among
+ten. All other touches are *ambiguous* if another pose explains the touch as well (imprint IoU within 0.01), *not
+listed* if the search found a pose within 1 mm (root mean square over the surface, before refinement), or *not found*.
+Then follow the median and the 95 % quantile of the time to ten refined hypotheses, and the shares by contact area.
+`--grid` and `--encoder` choose other components.
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
 
 def write_shares(found: list[dict[str, float]]) -> dict[str, float]:
     """Return the shares of touches, or NaN without touches."""
-    first = np.array([one["chosen_mm"] < NEAR_MM for one in found])
-    among = np.array([one["nearest_mm"] < NEAR_MM for one in found])
+    first = np.array([one["chosen_mm"] <= NEAR_MM for one in found])
+    among = np.array([one["nearest_mm"] <= NEAR_MM for one in found])
     ambiguous = np.array([bool(one["undetermined"]) for one in found])
     searched = np.array([one["searched_mm"] < NEAR_MM for one in found])
     seconds = np.array([one["seconds"] for one in found])

@@ -7,7 +7,7 @@ gel by 1 to 4 mm, or turns about the gel's middle by 3 to 15 degrees, unreported
 The touches show a slip if, over the first three frames after it, the pose before the slip has at least SHOWN less
 imprint IoU than the true pose. *Flagged* counts slips that the tracker reports within three frames, of those that the
 touches show. *False flags* are reports before the slip, and their number in 10,000 frames. *Right again* counts tracks
-whose pose is within 1 mm of the true surface at the end, and *sooner* those that are so no later than a batch estimate:
+whose pose error is at most 1 mm at the end, and *sooner* those that are so no later than a batch estimate:
 the key touches since the slip, located together at each frame. *Certain and wrong* is the share of frames after the
 slip. Meshes are given as FILE[:UNITS] or a demo object's name. `--out` keeps the tracks, which are not measured again.
 """
@@ -93,7 +93,7 @@ def explain(localizer: Localizer, T_base_object: np.ndarray, frames: Sequence[Fr
 def find_batch(localizer: Localizer, frames: Sequence[Frame]) -> int:
     """Return the first frame at which the key touches of the frames so far are located right; -1 if there is none."""
     located = enumerate(locate_by_keys(localizer, frames))
-    return next((number for number, (off_mm, *_) in located if off_mm < RIGHT_MM), -1)
+    return next((number for number, (off_mm, *_) in located if off_mm <= RIGHT_MM), -1)
 
 
 def track(localizer: Localizer, condition: str, number: int, seed: int) -> Track:
@@ -114,7 +114,7 @@ def track(localizer: Localizer, condition: str, number: int, seed: int) -> Track
     found = [tracker.update(f.time_s, f.touch, f.T_base_sensor) for f in frames]
     soon, after = frames[at : at + IN_TIME], frames[at:]
     off_mm = [measure_off_mm(localizer, one.T_sensor_object, f) for one, f in zip(found[at:], after, strict=True)]
-    right = np.array(off_mm) < RIGHT_MM
+    right = np.array(off_mm) <= RIGHT_MM
     certain = np.array([one.verdict == "certain" for one in found[at:]])
     return Track(
         localizer.object.name, condition, number, MM * slip.shift_m, float(np.degrees(slip.turn_rad)),

@@ -3,11 +3,11 @@
 
 Each slide is drawn by ray casting, as in sequences.py: clean, with mild noise, or on an elastic gel whose surface
 ContactMechanics computes. The tracker is not told where the object is. Elastic slides have 25 frames a second, all
-others 100. A pose is right if the mean distance of its surface from the true surface is below 1 mm.
+others 100. A pose is right if its pose error is at most 1 mm.
 
 The key touches of a frame are all touches so far, thinned to at most KEYS sensor poses at least APART_MM apart. They
-are also located together, without the tracker. They determine the pose if no listed pose with a wrong surface explains
-them as well as the true pose: to within 0.02 of its imprint IoU. The true pose is registered to the touches first, as
+are also located together, without the tracker. They determine the pose if no listed wrong pose explains them as
+well as the true pose: to within 0.02 of its imprint IoU. The true pose is registered to the touches first, as
 all listed poses are, because the tracker knows only the reported sensor poses.
 
 *Certain and wrong* is the share of all frames that are called certain although the first pose is wrong. *Certain, of
@@ -40,7 +40,7 @@ from tactile_loc_benchmark.sliding_touches import Frame, SlidingTouches
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.tolerance import measure_shape_distances
+from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.runtime.errors import TactileLocError, TouchError
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.noise import NOISE
@@ -80,7 +80,7 @@ Example = TypeVar("Example", bound=Drawn)
 class Slide(Drawn):
     """One slide: a row of lists for its F frames.
 
-    `off_mm` is the surface distance of the tracker's first pose, infinite without a pose, and `batch_mm` that of the
+    `off_mm` is the pose error of the tracker's first pose, infinite without a pose, and `batch_mm` that of the
     key touches located together. `determined` states whether these touches determine the pose.
     """
 
@@ -130,15 +130,15 @@ def soften(frame: Frame, source: RobotTouches, localizer: Localizer, rng: np.ran
 
 
 def locate_keys(localizer: Localizer, touches: Sequence[Touch]) -> tuple[float, bool, bool]:
-    """Return the surface error, mm, of touches located together, if it is certain, and if they determine the pose."""
+    """Return the pose error, mm, of touches located together, if it is certain, and if they determine the pose."""
     observations = [(localizer, touch) for touch in touches]
     try:
         found = localize_together(observations, top=LISTED)
     except TactileLocError:
         return np.inf, False, False
     poses = np.stack([h.T_sensor_object for h in found.hypotheses])
-    off_m = measure_shape_distances(localizer.object.mesh, poses, np.asarray(touches[0].T_sensor_object))
-    rivals = np.array([h.imprint_iou for h in found.hypotheses])[MM * off_m >= RIGHT_MM]
+    off_m = measure_pose_errors(localizer.object, poses, np.asarray(touches[0].T_sensor_object))
+    rivals = np.array([h.imprint_iou for h in found.hypotheses])[MM * off_m > RIGHT_MM]
     determined = not explain_as_well(rivals, explain_by_truth(localizer, touches, found.agreement.outliers)).any()
     return MM * float(off_m[0]), found.verdict is Verdict.CERTAIN, determined
 
@@ -156,10 +156,10 @@ def explain_by_truth(localizer: Localizer, touches: Sequence[Touch], outliers: S
 
 
 def measure_off_mm(localizer: Localizer, T: np.ndarray | None, frame: Frame) -> float:
-    """Return the surface distance, mm, of a pose (4, 4), metres, in a frame's sensor frame; infinite without a pose."""
+    """Return the pose error, mm, of a pose (4, 4), metres, in a frame's sensor frame; infinite without a pose."""
     if T is None:
         return np.inf
-    return MM * float(measure_shape_distances(localizer.object.mesh, T[None], frame.T_sensor_object)[0])
+    return MM * float(measure_pose_errors(localizer.object, T[None], frame.T_sensor_object)[0])
 
 
 def locate_by_keys(localizer: Localizer, frames: Sequence[Frame]) -> Iterator[tuple[float, bool, bool]]:
@@ -208,9 +208,9 @@ def write_row(name: str, slides: Sequence[Slide]) -> str:
         np.concatenate([getattr(slide, key) for slide in slides])
         for key in ("off_mm", "determined", "searched", "ms", "batch_certain")
     )
-    right, searched, determined = right < RIGHT_MM, searched.astype(bool), determined.astype(bool)
-    ends = sum(slide.off_mm[-1] < RIGHT_MM for slide in slides)
-    batch = sum(slide.batch_mm[-1] < RIGHT_MM for slide in slides)
+    right, searched, determined = right <= RIGHT_MM, searched.astype(bool), determined.astype(bool)
+    ends = sum(slide.off_mm[-1] <= RIGHT_MM for slide in slides)
+    batch = sum(slide.batch_mm[-1] <= RIGHT_MM for slide in slides)
     share = f"{certain[determined].mean():.0%}, {alike[determined].mean():.0%}" if determined.any() else "-"
     return (
         f"| {name} | {len(slides)} | {ends}, {batch} | {certain.mean():.0%} | {(certain & ~right).mean():.1%} | "
