@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from asked import load_asked, make_parser, make_source, open_asked
+from asked import load_asked, make_parser, make_source, open_asked, write_head
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
@@ -134,7 +134,7 @@ def measure(localizer: Localizer, arguments: argparse.Namespace, level: str) -> 
             "among_hypotheses": {f"{mm:g} mm": float((best <= mm).mean()) for mm in WITHIN_MM},
             "median_mm": float(np.median(chosen)), "z_median_mm": float(np.median(z_mm)),
             "undetermined": float(undetermined.mean()),
-            "others_within_0.5_mm": float((others <= 0.5).mean()) if len(others) else None,
+            "determined": len(others), "right": int((others <= 0.5).sum()),
             "z_worst_mm": float(z_mm.max()), "nees": [float(n) for n in near], "refused": refused, "failed": failed[n],
             "median_s": float(np.median(seconds[n])),
         })  # fmt: skip
@@ -219,7 +219,8 @@ def main() -> None:
         parser.add_argument(f"--{level}", dest="levels", action="append_const", const=level)
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
-    print(write_heading(arguments), flush=True)
+    if arguments.outliers:
+        print(write_head("object", "sensor", "level", "touches", "wrong", *VERDICTS, "within 1 mm", "examples"))
     for mesh, after in zip(arguments.objects, [*arguments.objects[1:], arguments.objects[0]], strict=True):
         for sensor in arguments.sensors:
             with tempfile.TemporaryDirectory() as store:
@@ -235,54 +236,66 @@ def main() -> None:
                         found = measure_outliers(localizer, load_asked(after), arguments, level)
                     else:
                         found = measure(localizer, arguments, level)
-                    for row in found:
-                        print(write_line(row, arguments), flush=True)
+                    for row in found if arguments.outliers else ():
+                        print(write_outliers(row), flush=True)
                     rows += found
                     if arguments.out:
                         arguments.out.write_text(json.dumps(rows, indent=1))
     if not arguments.outliers:
-        for text in summarise_all(rows):
-            print(text)
+        print_tables(rows, arguments.fingers)
 
 
-def summarise_all(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Return lines that summarise all objects, by sensor, level and number of touches."""
-    for kind in dict.fromkeys((row["sensor"], row["level"], row["touches"]) for row in rows):
-        alike = [row for row in rows if (row["sensor"], row["level"], row["touches"]) == kind]
-        near, far = (np.mean([row["within"][f"{mm:g} mm"] for row in alike]) for mm in WITHIN_MM)
-        anywhere = np.mean([row["among_hypotheses"]["0.5 mm"] for row in alike])
-        determined = np.array([row["examples"] * (1 - row["undetermined"]) for row in alike])
-        within = determined @ [row["others_within_0.5_mm"] or 0.0 for row in alike]
-        yield (
-            f"all {len(alike):2d} {kind[0]:14s} {kind[1]:10s} {kind[2]} touches: {near:.0%} within 0.5 mm, {far:.0%} "
-            f"within 1 mm, any {anywhere:.0%}; {determined.sum():.0f} determined, {within:.0f} of these within 0.5 mm"
-        )
+def print_tables(rows: list[dict[str, Any]], fingers: bool) -> None:
+    """Print, for each sensor and level: the shares by number of touches, then every number of touches in detail."""
+    for sensor, level in dict.fromkeys((row["sensor"], row["level"]) for row in rows):
+        alike = [row for row in rows if (row["sensor"], row["level"]) == (sensor, level)]
+        objects = {name: [row for row in alike if row["object"] == name] for name in {r["object"]: 0 for r in alike}}
+        objects[f"all {len(objects)}"] = [pool(n, alike) for n in dict.fromkeys(row["touches"] for row in alike)]
+        print(f"\n{sensor}, {level}; in brackets: of the determined\n")
+        print(write_head("object", *(str(row["touches"]) for row in objects[alike[0]["object"]])))
+        for name, some in objects.items():
+            determined = (f"{row['right']} of {row['determined']}" for row in some)
+            cells = (f"{row['within']['0.5 mm']:.0%} ({of})" for row, of in zip(some, determined, strict=True))
+            print(f"| {name} | {' | '.join(cells)} |")
+        heads = [
+            "object",
+            "touches",
+            "within 0.5 mm",
+            "1 mm",
+            "any within 0.5 mm",
+            "undetermined",
+            "median, mm",
+            "NEES",
+        ]
+        print("\n" + write_head(*heads, "refused", "failed", "s", *["z median, worst, mm"] * fingers))
+        for name, some in objects.items():
+            for row in some:
+                shares = (*row["within"].values(), row["among_hypotheses"]["0.5 mm"], row["undetermined"])
+                cells = [f"{share:.0%}" for share in shares]
+                cells += [f"{row['median_mm']:.3f}", f"{np.median(row['nees'] or [np.nan]):.1f}", str(row["refused"])]
+                cells += [str(row["failed"]), f"{row['median_s']:.2f}"]
+                cells += [f"{row['z_median_mm']:.3f}, {row['z_worst_mm']:.3f}"] * fingers
+                print(f"| {name} | {row['touches']} | {' | '.join(cells)} |")
 
 
-def write_heading(arguments: argparse.Namespace) -> str:
-    """Return the table's first line."""
-    if arguments.outliers:
-        return f"{'object':14s} {'sensor':14s} {'level':10s} touches  {'wrong':13s}" + ", ".join([*VERDICTS, "<1 mm"])
-    head = f"{'object':14s} {'sensor':14s} {'level':10s} touches  <0.5 mm  <1 mm  median  any<0.5 "
-    head += " undetermined  others<0.5  NEES  refused failed   s"
-    return head + ("   z median, worst" if arguments.fingers else "")
+def pool(touches: int, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the row of all objects for a number of touches: means, sums of counts, and medians of medians."""
+    some = [row for row in rows if row["touches"] == touches]
+    found: dict[str, Any] = {"touches": touches, "nees": [value for row in some for value in row["nees"]]}
+    for key in ("within", "among_hypotheses"):
+        found[key] = {mm: np.mean([row[key][mm] for row in some]) for mm in some[0][key]}
+    found["undetermined"] = np.mean([row["undetermined"] for row in some])
+    found |= {key: sum(row[key] for row in some) for key in ("determined", "right", "refused", "failed")}
+    found |= {key: np.median([row[key] for row in some]) for key in ("median_mm", "z_median_mm", "median_s")}
+    return found | {"z_worst_mm": max(row["z_worst_mm"] for row in some)}
 
 
-def write_line(row: dict[str, Any], arguments: argparse.Namespace) -> str:
-    """Return a row of the table."""
-    start = f"{row['object']:14s} {row['sensor']:14s} {row['level']:10s} {row['touches']:7d} "
-    if arguments.outliers:
-        counts = [*(str(row[said]) for said in VERDICTS), str(row["within 1 mm"])]
-        return f"{start} {row['wrong']:13s}" + ", ".join(counts) + f" of {row['examples']}"
-    near, far = row["within"].values()
-    others = row["others_within_0.5_mm"]
-    return (
-        f"{start}{near:8.0%} {far:6.0%} "
-        f"{row['median_mm']:7.3f} {row['among_hypotheses']['0.5 mm']:8.0%} "
-        f"{row['undetermined']:13.0%} {np.nan if others is None else others:11.0%} "
-        f"{np.median(row['nees'] or [np.nan]):5.1f} {row['refused']:8d} {row['failed']:6d} {row['median_s']:.2f}"
-        + (f"   {row['z_median_mm']:.3f}, {row['z_worst_mm']:.3f}" if arguments.fingers else "")
-    )
+def write_outliers(row: dict[str, Any]) -> str:
+    """Return the table's row of one kind of error."""
+    cells = [
+        row[key] for key in ("object", "sensor", "level", "touches", "wrong", *VERDICTS, "within 1 mm", "examples")
+    ]
+    return f"| {' | '.join(map(str, cells))} |"
 
 
 if __name__ == "__main__":
