@@ -7,7 +7,7 @@ import json
 import pytest
 from tactile_loc.plugin import ConfigError
 
-from tactile_loc_benchmark.files import HEAD, read_rows, tabulate, write_benchmark
+from tactile_loc_benchmark.files import HEAD, read_benchmark, read_rows, tabulate, write_benchmark
 from tactile_loc_benchmark.leaderboard import read_standings
 from tactile_loc_benchmark.prepare import hash_protocol
 from tactile_loc_benchmark.suite import create
@@ -71,7 +71,18 @@ def test_only_the_protocol_the_source_and_the_objects_change_the_hash(finished, 
     assert finished.sources[1].used.protocol != known
 
 
-@pytest.mark.parametrize("change", [{"schema_version": 0}, {"groups": [{}]}, {"sources": {}}])
+def test_results_of_another_version_are_refused(written, tmp_path):
+    for name in ("leaderboard.json", "benchmark.json"):
+        document = json.loads((written / name).read_text())
+        (tmp_path / name).write_text(json.dumps({**document, "schema_version": 1}))
+    (tmp_path / "rows.parquet").write_bytes((written / "rows.parquet").read_bytes())
+    with pytest.raises(ConfigError, match=r"benchmark\.json has another version than 2; run the benchmark again"):
+        read_benchmark(tmp_path)
+    with pytest.raises(ConfigError, match=r"leaderboard\.json has another version"):
+        list(read_standings(tmp_path / "leaderboard.json"))
+
+
+@pytest.mark.parametrize("change", [{"groups": [{}]}, {"sources": {}}])
 def test_a_damaged_leaderboard_file_gives_an_error(written, tmp_path, change):
     document = json.loads((written / "leaderboard.json").read_text())
     path = tmp_path / "leaderboard.json"

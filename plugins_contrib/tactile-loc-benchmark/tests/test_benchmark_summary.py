@@ -48,6 +48,11 @@ def test_shares_count_examples_without_a_pose_as_missed():
     assert (group["calibration_error"], group["covered"], group["certain"]) == (None, None, 0)
 
 
+def test_a_small_shape_distance_makes_no_pose_right():
+    (group,) = summarise([make_row(mssd_mm=2.0, verdict="certain"), make_row(1, verdict="certain")])
+    assert (group["within"][1], group["certain_right"], group["shape_within_1_mm"]) == (0.5, 1, 1.0)
+
+
 def test_an_example_is_determined_unless_a_method_finds_another_explanation():
     rows = [make_row(), make_row(method="other", determined=False), make_row(1)]
     first, _ = summarise(rows)
