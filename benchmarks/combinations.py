@@ -6,9 +6,8 @@ up to the box's symmetry. Each combination of renderer, grid, encoder, matcher, 
 fuser `product` fuses one touch and two touches. The fuser `kinematic` fuses only two, because it learns nothing from
 one touch. Touches are drawn by another renderer than the tested one. The error is the symmetric surface distance (RMS)
 of the nearest of the ten listed poses, whatever its probability. An error above the refiner's limit counts as a
-failure. The limits are 0.3 mm, 0.6 mm for kiss-icp, and 2 mm for none (the finest grid's spacing). With two touches,
-each touch is refined separately (`together="each"`). A refused combination must be refused with a reason before
-anything is built.
+failure. The limits are 0.3 mm, 0.6 mm for kiss-icp, and 2 mm for none (the finest grid's spacing).
+A refused combination must be refused with a reason before anything is built.
 
 `--out` keeps a row for each combination, and only missing combinations are measured. `--renderers`, `--grids`, ...
 choose a subset. The encoder `outline` comes with `pip install -e plugins_contrib/tactile-loc-outline`.
@@ -60,7 +59,6 @@ SMALL: dict[tuple[str, str], dict[str, Any]] = {  # options for a small combinat
 }
 SETTINGS: dict[str, Any] = {
     "sensor": {"name": "gelsight-mini", "image_size_px": [80, 60]}, "shape_px": 32, "temperature": 0.02, "top": 10,
-    "together": "each",  # refined separately by each refiner
     "search": {
         "candidates": 2, "candidates_together": 2, "registered": 2, "moved_together": 2, "registered_together": 2,
         "registered_widely": 2, "iterations": 2,

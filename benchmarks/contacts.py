@@ -210,7 +210,6 @@ def main() -> None:
     parser.add_argument("--examples", type=int, default=40)
     parser.add_argument("--spacing-mm", type=float, help="search the grid hopf with this spacing")
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--together", default="joint", choices=["joint", "each"])
     parser.add_argument("--fingers", action="store_true")
     parser.add_argument("--outliers", action="store_true")
     parser.add_argument("--press-mm", nargs="+", type=float, default=[0.5, 1.0, 2.0])
@@ -226,7 +225,6 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as store:
                 localizer = open_asked(
                     mesh, store=StageStore(Path(store)), sensor=sensor,
-                    together=arguments.together,
                     grid={"name": "whole"}
                     if arguments.spacing_mm is None
                     else {"name": "hopf", "spacing_mm": arguments.spacing_mm},

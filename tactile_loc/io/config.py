@@ -104,7 +104,6 @@ class RunConfig(StrictModel):
     """All settings that determine a result.
 
     `shape_px` is the longer image side of the grid's contact shapes, pixels.
-    `together` selects how several touches refine a pose: "joint" (all at once), or "each" (touch by touch).
     `drop_outliers` leaves out touches that contradict the others.
     `coverage` (0 to 1) returns a set of poses that contains the true pose with this probability.
     `tolerance`, such as "0.5mm,2deg", is the largest error of a pose that counts as right in the verdict.
@@ -128,7 +127,6 @@ class RunConfig(StrictModel):
     seed: int = Field(default=0, ge=0)
     shape_px: int = Field(default=64, ge=16, le=1024)
     temperature: float | None = Field(default=None, gt=0)
-    together: Literal["joint", "each"] = "joint"
     coverage: float | None = Field(default=None, gt=0, lt=1)
     tolerance: ToleranceText = ONE_MILLIMETRE
     confidence: float = Field(default=CERTAIN, gt=0, lt=1)

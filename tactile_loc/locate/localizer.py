@@ -67,7 +67,7 @@ class Localizer:
         self.encoder = self._create("encoder")
         self.fuser = self._create("fuser")
         self.registration = JointRegistration()
-        self.refinement = Refinement(self._create("refiner"), config.refiner.name, self.registration, config.together)
+        self.refinement = Refinement(self._create("refiner"), config.refiner.name, self.registration)
         renderer = self._create("renderer")
         made = {"sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "fuser": self.fuser}
         made |= {"refiner": self.refinement.refiner, "renderer": renderer, "matcher": self._create("matcher")}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -21,11 +20,12 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.probability.conformal import LISTED
 from tactile_loc.locate.probability.temperature import SHARED
-from tactile_loc.locate.result.hypothesis import Hypothesis
+from tactile_loc.locate.result.hypothesis import Hypothesis, RefinedBy
 from tactile_loc.locate.sources.source import PoseSource, Scored
 from tactile_loc.slots.fuser import Fuser
 from tactile_loc.slots.refiner import Refiner
 
+JOINT = "joint registration"
 REFINED_WITH_PRIOR = 12  # of the likeliest modes are also refined with the prior
 
 
@@ -65,16 +65,11 @@ class Query:
 
 @dataclass(frozen=True)
 class Refinement:
-    """The chosen refiner, its name, and the joint registration.
-
-    If `together` is "joint", the joint registration refines against several touches, unless the refiner can do so
-    itself.
-    """
+    """The chosen refiner, its name, and the joint registration, which refines poses against contact masks."""
 
     refiner: Refiner
     name: str
     registration: JointRegistration
-    together: Literal["joint", "each"]
 
     def refine(
         self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior | None = None
@@ -83,12 +78,16 @@ class Refinement:
 
         A `prior` over poses in the first touch's sensor frame decides where the touches leave a pose open.
         """
-        masks = not all(view.touch.has_depths for view in views) and self.refiner.capabilities.refines
-        if not masks and (len(views) == 1 or not self.is_joint):
-            if prior is None:
-                return self.refiner.refine_together(views, candidates)
-            return self.refiner.refine_with_prior(views, candidates, prior)
-        return self.registration.refine(views, np.stack([candidate.T_sensor_object for candidate in candidates]), prior)
+        if self._needs_registration([view.touch for view in views]):
+            poses = np.stack([candidate.T_sensor_object for candidate in candidates])
+            return self.registration.refine(views, poses, prior)
+        if prior is None:
+            return self.refiner.refine_together(views, candidates)
+        return self.refiner.refine_with_prior(views, candidates, prior)
+
+    def _needs_registration(self, touches: Sequence[Touch]) -> bool:
+        """Return whether the joint registration refines, because a touch is a contact mask without depths."""
+        return self.refiner.capabilities.refines and not all(touch.has_depths for touch in touches)
 
     def refine_modes(
         self, views: Sequence[View], modes: Sequence[Mode], prior: Prior | None = None
@@ -105,11 +104,17 @@ class Refinement:
             modes = [*modes, *(replace(mode, probability=0.0) for mode in modes[:REFINED_WITH_PRIOR])]
         return list(zip(modes, refined, strict=True))
 
-    @property
-    def is_joint(self) -> bool:
-        """Whether the joint registration refines against several touches, because the refiner takes only one touch."""
-        one_at_a_time = type(self.refiner).refine_together is Refiner.refine_together
-        return one_at_a_time and self.refiner.capabilities.refines and self.together == "joint"
+    def describe(self, touches: Sequence[Touch], searches: bool) -> RefinedBy:
+        """Return what refines the poses of touches. `searches` states whether the whole object is searched."""
+        capabilities, masks = self.refiner.capabilities, self._needs_registration(touches)
+        poses = JOINT if masks else self.name if capabilities.refines else None
+        at_once = masks or self.refiner.refines_together
+        return RefinedBy(
+            search=JOINT if searches else None,
+            poses=poses,
+            touches=None if len(touches) < 2 or poses is None else "together" if at_once else "alone",
+            covariances=None if poses is None else self.name if capabilities.covariances and not masks else JOINT,
+        )
 
     def describe_other_tasks(self, searches: bool) -> str:
         """Return the tasks that the joint registration does instead of the refiner, and the reason; "" if none.
@@ -118,11 +123,7 @@ class Refinement:
         """
         if self.refiner.capabilities.covariances:
             return ""
-        parts = [
-            "improves the poses in the search of the whole object" if searches else "",
-            "refines poses to several touches together" if self.is_joint else "",
-        ]
-        others = " and ".join(part for part in parts if part)
+        others = "improves the poses in the search of the whole object" if searches else ""
         if not self.refiner.capabilities.refines:
             return f"the joint registration {others}, because {self.name} does not refine" if others else ""
         also = f". The joint registration also {others}" if others else ""

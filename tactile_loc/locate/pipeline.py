@@ -103,6 +103,7 @@ def conclude(query: Query, method: LocatingMethod, solution: Solution) -> Locali
         prior=prior,
         evidence=evidence,
         outcome=outcome,
+        refined_by=method.refinement.describe([view.touch for view in trusted], method.source.may_miss),
     )
 
 

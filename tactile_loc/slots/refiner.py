@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.registration.alternation import alternate
 from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.slots.component import Component
@@ -35,29 +34,44 @@ class Refiner(Component):
     def refine_together(self, views: Sequence[View], candidates: Sequence[Candidate]) -> list[RefinedPose]:
         """Refine candidates, given as poses in the frame of the first touch's sensor, against several touches.
 
-        By default, each candidate is refined against each touch separately. The result is the refined pose with the
-        best mean imprint IoU over all touches, or the candidate itself if its mean is best. Override this method to use
-        all touches at once.
+        By default, each touch refines each candidate alone, and the results are combined by their covariances: see
+        `core.registration.alternation`. Override this method if the refiner can use all touches at once.
         """
         if len(views) == 1:
             return self.refine_many(views[0].touch, candidates, views[0].scene)
-        rows = [[RefinedPose(c.T_sensor_object, 0.0, False, 0) for c in candidates]]
-        for view in views:
-            T_first_sensor = invert(view.T_sensor_first)
-            seen = [dataclasses.replace(c, T_sensor_object=view.T_sensor_first @ c.T_sensor_object) for c in candidates]
-            found = self.refine_many(view.touch, seen, view.scene)
-            rows.append([dataclasses.replace(r, T_sensor_object=T_first_sensor @ r.T_sensor_object) for r in found])
-        poses = np.array([[r.T_sensor_object for r in row] for row in rows])
-        ious = np.array([np.mean([view.imprint_ious(T) for view in views], axis=0) for T in poses])
-        best = ious.argmax(axis=0)
-        return [rows[b][k] for k, b in enumerate(best)]
+        return self._combine_alone(views, candidates)
 
     def refine_with_prior(
         self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior
     ) -> list[RefinedPose]:
         """Refine candidates as `refine_together` does, given a `prior` over poses in the first touch's sensor frame.
 
-        By default, the prior is ignored. Override this method if the prior can decide where the touches leave a pose
-        open.
+        By default, the prior is combined with what each touch alone says of the pose. If `refine_together` is
+        overridden, the prior is ignored. Then override this method, too, if the prior can decide where the touches
+        leave a pose open.
         """
-        return self.refine_together(views, candidates)
+        if self.refines_together or not self.capabilities.refines:
+            return self.refine_together(views, candidates)
+        return self._combine_alone(views, candidates, prior)
+
+    @property
+    def refines_together(self) -> bool:
+        """Whether the refiner uses all touches at once, instead of each touch alone."""
+        return type(self).refine_together is not Refiner.refine_together
+
+    def _combine_alone(
+        self, views: Sequence[View], candidates: Sequence[Candidate], prior: Prior | None = None
+    ) -> list[RefinedPose]:
+        if self.capabilities.refines:
+            return alternate(views, candidates, self.refine_many, prior)
+        contact_ious = np.mean(
+            [
+                [view.scene.contact_iou(view.T_sensor_first @ c.T_sensor_object, view.touch) for c in candidates]
+                for view in views
+            ],
+            axis=0,
+        )
+        return [
+            RefinedPose(c.T_sensor_object.copy(), float(iou), True, 0)
+            for c, iou in zip(candidates, contact_ious, strict=True)
+        ]

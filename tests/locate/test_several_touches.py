@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -10,9 +12,16 @@ from locate_helpers import locate_together, measure_errors_mm
 from message_helpers import naming
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
+from tactile_loc.core.poses.candidate import RefinedPose
+from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
+from tactile_loc.io.config import SlotConfig
 from tactile_loc.locate.localizer import Localizer, compute_posterior_together, localize_together
 from tactile_loc.locate.outliers import require_within_reach
+from tactile_loc.locate.result.hypothesis import RefinedBy
+from tactile_loc.plugins.refiners.icp import IcpRefiner
+from tactile_loc.slots.refiner import Refiner
+from tactile_loc.slots.registry import registry
 
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.2, 0.3])
 
@@ -108,3 +117,75 @@ def test_touches_are_within_reach_if_two_of_them_are(localizer, touches):
     for x_m in ((0, 1.01 * reach_m), (0, 5, 10)):
         with pytest.raises(GridError, match=naming("pin", "37 mm", "T_base_sensor", "T_sensor_base")):
             require_within_reach(placed_at(*x_m), localizer.object)
+
+
+class CountingIcp(IcpRefiner):
+    """ICP that counts how often it refines poses to each touch."""
+
+    seen: ClassVar[Counter[str]] = Counter()
+
+    def refine_many(self, touch, candidates, scene):
+        self.seen[touch.name] += 1
+        return super().refine_many(touch, candidates, scene)
+
+
+class Idle(Refiner):
+    """Returns the candidates."""
+
+    def refine(self, touch, candidate, scene):
+        T = candidate.T_sensor_object
+        return RefinedPose(T.copy(), scene.contact_iou(T, touch), True, 0)
+
+
+def choose(localizer, refiner: str) -> Localizer:
+    """The localizer with another refiner."""
+    chosen = localizer.config.model_copy(update={"refiner": SlotConfig(name=refiner)})
+    return Localizer(chosen, localizer.object, localizer.store)
+
+
+@pytest.fixture
+def added(monkeypatch):
+    """Offer a component under a name during one test."""
+    monkeypatch.setattr(registry(), "offers", list(registry().offers))
+    return registry().add
+
+
+@pytest.fixture
+def exact(localizer):
+    """Three clean touches."""
+    named = localizer.simulate(3, seed=7)
+    return [dataclasses.replace(placed(touch), name=f"touch {number}") for number, touch in enumerate(named)]
+
+
+def test_the_chosen_refiner_refines_to_each_of_several_touches(localizer, exact, added):
+    added(CountingIcp, "counting-icp")
+    CountingIcp.seen.clear()
+    found = locate_together(choose(localizer, "counting-icp"), exact)
+    assert set(CountingIcp.seen) == {touch.name for touch in exact}
+    assert found.refined_by == RefinedBy(None, "counting-icp", "alone", "joint registration")
+    assert error_m(localizer, found) < 3e-4
+
+
+def test_refiners_give_poses_of_their_own(localizer, exact):
+    """Both are near the true pose, and not the same."""
+    joint, icp = (locate_together(choose(localizer, name), exact) for name in ("joint", "icp"))
+    assert max(error_m(localizer, one) for one in (joint, icp)) < 3e-4
+    assert not np.allclose(joint.best.T_sensor_object, icp.best.T_sensor_object, rtol=0, atol=1e-7)
+    assert icp.best.covariance is not None
+
+
+def test_an_idle_refiner_leaves_the_poses_of_the_grid(localizer, exact, added):
+    added(Idle, "idle")
+    found = locate_together(choose(localizer, "idle"), exact)
+    for one in found.hypotheses:
+        np.testing.assert_array_equal(one.T_sensor_object, one.T_sensor_object_grid)
+    assert error_m(localizer, found) > 5e-4
+
+
+@pytest.mark.parametrize("refiner", ["joint", "icp"])
+def test_the_order_of_touches_does_not_matter(localizer, exact, refiner):
+    """The grids of different touches propose other poses, but the best of them end at the same pose."""
+    chosen = choose(localizer, refiner)
+    one, other = (locate_together(chosen, [exact[k] for k in order]) for order in ((0, 1, 2), (2, 0, 1)))
+    here, there = (found.best.T_base_object for found in (one, other))
+    assert measure_pose_errors(localizer.object, here[None], there)[0] < 5e-5

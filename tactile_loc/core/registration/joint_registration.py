@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.geometry.lie import move_covariance
+from tactile_loc.core.geometry.lie import adjoint, move_covariance
 from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.blocks import Blocks, make_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
@@ -150,6 +150,19 @@ class JointRegistration:
             for pose, one, other in zip(poses, own, reported, strict=True)
         ]
 
+    def measure_information(self, view: View, T_sensor_object: Poses, centre_m: Floats) -> Floats:
+        """Return a touch's information (K, 6, 6) about poses (K, 4, 4), metres, in its own sensor's frame.
+
+        The information is about twists (rad, then mm) about `centre_m` (3,), metres, along the sensor's axes. It
+        contains the error of the press depth, but not that of the sensor's pose. It is the Hessian of the registration
+        at the poses, scaled by their misfit, so a pose that explains the touch badly gets little information.
+        """
+        alone = View(view.touch, view.scene)
+        found = self._register(self._pose_problem([alone]), T_sensor_object, np.array([self.options.scale_end_mm]), 1)
+        middles = T_sensor_object[:, :3, :3] @ (found.problem.middle / MILLI) + T_sensor_object[:, :3, 3]
+        to_middle = adjoint(np.eye(3), (middles - centre_m) * MILLI)
+        return np.asarray(to_middle.swapaxes(1, 2) @ found.problem.inform(found.registered) @ to_middle)
+
     def list_scales_mm(self, count: int) -> Floats:
         """Return the scales (count,), mm, of the robust weights, one for each step.
 
@@ -206,13 +219,13 @@ class _Found:
         return _scale(self.problem.view_from_first(self.registered), 1 / MILLI)
 
     def compute_covariances(self, T: Poses | None = None, reported: bool = False) -> Covariances:
-        """Return the covariances of the poses, or of the reported poses: see `_convert_to_covariances`.
+        """Return the covariances of the poses, or of the reported poses: see `convert_to_covariances`.
 
         With T (K, 4, 4), metres, they belong to these poses instead, from which the last step began.
         """
         at = self.T_first_object if T is None else T
         information = self.problem.inform(self.registered, reported)
-        return _convert_to_covariances(information, at[:, :3, :3] @ (self.problem.middle / MILLI))
+        return convert_to_covariances(information, at[:, :3, :3] @ (self.problem.middle / MILLI))
 
     def add_to(self, poses: Sequence[RefinedPose], good: NDArray[np.bool_]) -> list[RefinedPose]:
         """Return the refined poses; those that are `good` (K,) get covariances and poses in other frames."""
@@ -263,7 +276,7 @@ def _explain(views: Sequence[View], T_first_object: Poses) -> Floats:
     return np.asarray(np.mean(each, axis=0))
 
 
-def _convert_to_covariances(information: Floats, levers_m: Floats) -> Covariances:
+def convert_to_covariances(information: Floats, levers_m: Floats) -> Covariances:
     """Convert information (K, 6, 6), rotations (rad), then mm, to covariances (6, 6), x, y, z (m), then rotations.
 
     The information refers to rotations about the object's centroid, which is at `levers_m` (K, 3) from the origin of

@@ -115,6 +115,21 @@ class JudgedHypothesis(Hypothesis):
     verdict: Verdict = field(kw_only=True)
 
 
+@dataclass(frozen=True)
+class RefinedBy:
+    """What refined the poses of a result: names of refiners, or the joint registration; None if nothing did.
+
+    `search` improves the poses in the search of the whole object, `poses` refines the hypotheses, and `covariances`
+    gives their covariances. `touches` states how several touches are refined: "together", or "alone" if the results of
+    each touch alone are combined by their covariances.
+    """
+
+    search: str | None
+    poses: str | None
+    touches: str | None
+    covariances: str | None
+
+
 @dataclass(frozen=True, eq=False)
 class Agreement:
     """Whether N touches agree on a pose. Touches are numbered from 0, in the order given.

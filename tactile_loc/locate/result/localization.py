@@ -32,6 +32,7 @@ from tactile_loc.locate.result.assessment import Assessment, Origin, PoseErrors
 from tactile_loc.locate.result.freedom import Freedom, explain_as_well, find_as_well, find_freedom
 from tactile_loc.locate.result.hypothesis import Agreement as Agreement
 from tactile_loc.locate.result.hypothesis import Hypothesis as Hypothesis
+from tactile_loc.locate.result.hypothesis import RefinedBy as RefinedBy
 from tactile_loc.locate.result.result_html import write_html
 from tactile_loc.locate.result.verdict import (
     STATES_PROBABILITY,
@@ -64,7 +65,8 @@ class Localization:
     hypotheses after the listed ones. They count for the verdict, but files do not keep them. `unexpected` states
     whether the `prior`, over poses in the first sensor's frame, makes the first pose very improbable. The `outcome`
     has the probability that the first pose is right, computed from the `evidence`; both are None if a localisation
-    was made by hand. `assessed` and `origin` are those of a file; None if they are not known yet.
+    was made by hand. `refined_by` states what refined the poses; None if it is unknown. `assessed` and `origin` are
+    those of a file; None if they are not known yet.
     """
 
     touch: Touch
@@ -81,6 +83,7 @@ class Localization:
     prior: Prior | None = None
     evidence: Evidence | None = None
     outcome: Outcome | None = None
+    refined_by: RefinedBy | None = None
     assessed: Assessment | None = None
     origin: Origin | None = None
 
@@ -139,6 +142,7 @@ class Localization:
             config,
             unexpected=document["unexpected"],
             outcome=result_json.read_outcome(document),
+            refined_by=result_json.read_refined_by(document["refined_by"]),
             assessed=result_json.read_assessment(document, float(np.exp(arrays["log_p"]).sum())),
             origin=Origin(**{name: document[name] for name in Origin.__dataclass_fields__}),
         )
@@ -177,6 +181,7 @@ class Localization:
             elsewhere=self.posterior.elsewhere,
             missed=self.posterior.elsewhere if self.outcome is None else self.outcome.missed,
             posterior_touches=self.posterior.touches,
+            refined_by=None if self.refined_by is None else write_keys(result_json.REFINED_BY, self.refined_by),
             hypotheses=[result_json.write_hypothesis(rank, *pair) for rank, pair in enumerate(pairs, 1)],
             pose_set=None if self.pose_set is None else write_keys(result_json.POSE_SET, self.pose_set),
             errors=None if about.errors is None else write_keys(result_json.ERRORS, about.errors),

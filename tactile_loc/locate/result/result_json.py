@@ -25,7 +25,7 @@ from tactile_loc.io.streams.records import read_document
 from tactile_loc.locate.probability.conformal import PoseSet
 from tactile_loc.locate.result.assessment import Assessment, PoseErrors
 from tactile_loc.locate.result.freedom import Freedom
-from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
+from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis, RefinedBy
 from tactile_loc.locate.result.verdict import Outcome, Verdict
 
 NAME = "result.json"
@@ -80,6 +80,7 @@ RESULT: Keys = {
     ),
     "posterior_touches": Key("integer", "number of touches behind the posterior, with those behind a prior"),
     "entropy_nats": Key("number", "Shannon entropy of the posterior, nats"),
+    "refined_by": Key("object or null", "what refined the poses; null in files of older versions", None),
     "hypotheses": Key("list", "distinct explanations, the best first"),
     "pose_set": Key("object or null", "the set that the hypotheses are; null unless a coverage was requested"),
     "errors": Key("object or null", "errors of the answer; null if the true pose is unknown"),
@@ -160,6 +161,17 @@ HYPOTHESIS: Keys = {
     ),
 }
 
+REFINED_BY: Keys = {
+    "search": Key("text or null", "what improves the poses in the search of the whole object; null for a listed grid"),
+    "poses": Key("text or null", "what refined the hypotheses; null if nothing did"),
+    "touches": Key(
+        "text or null",
+        "how several touches were refined: `together`, or `alone` if the results of each touch alone were combined by "
+        "their covariances; null for one touch",
+    ),
+    "covariances": Key("text or null", "what gave the covariances; null if nothing did"),
+}
+
 POSE_SET: Keys = {
     "coverage": Key("number", "the requested probability, 0 to 1"),
     "poses": Key("integer", "number of hypotheses in the set; they are the listed ones"),
@@ -202,6 +214,7 @@ PARTS: dict[str, tuple[str, Keys]] = {  # the objects in a document, with their 
     "touch": ("A touch that was located.", TOUCH),
     "hypotheses[]": ("One distinct explanation of the touches.", HYPOTHESIS),
     "freedom": ("What the touches leave open about the first hypothesis.", FREEDOM),
+    "refined_by": ("What refined the poses: the name of a refiner, or `joint registration`.", REFINED_BY),
     "pose_set": ("A set of hypotheses that contains the true pose with a known probability.", POSE_SET),
     "errors": (
         "Pose errors: the largest displacement of any surface point, the least over the object's symmetries.",
@@ -303,6 +316,11 @@ def _read_refined(keys: dict[str, Any], T_base_sensor: NDArray[np.float64] | Non
     T_sensor_base = invert(T_base_sensor)
     reported = None if C is None else rotate_covariance(C, T_sensor_base[:3, :3])
     return dataclasses.replace(pose, T_reported_object=T_sensor_base @ T_base_object, reported_covariance=reported)
+
+
+def read_refined_by(document: Any) -> RefinedBy | None:
+    """Return what refined the poses, if the file states it. Raises ValueError."""
+    return None if document is None else RefinedBy(**read_keys(REFINED_BY, document, "refined_by"))
 
 
 def read_pose_set(document: Any) -> PoseSet | None:
