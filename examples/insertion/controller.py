@@ -59,7 +59,12 @@ def spread_modes(found: Localization) -> PoseModes:
     share = modes.probabilities[0] / (2 * len(moved))
     probabilities = np.concatenate([modes.probabilities, np.full(len(moved), share)])
     probabilities[0] /= 2
-    return replace(modes, T_base_object=np.concatenate([modes.T_base_object, moved]), probabilities=probabilities)
+    return replace(
+        modes,
+        objects=modes.objects + modes.objects[:1] * len(moved),
+        T_base_object=np.concatenate([modes.T_base_object, moved]),
+        probabilities=probabilities,
+    )
 
 
 def move(T: Pose, error: NDArray[np.float64]) -> Pose:

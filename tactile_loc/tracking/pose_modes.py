@@ -35,7 +35,7 @@ class PoseModes:
     `unlisted`, 0 to 1, is the probability of poses left out, which favour no approach. `geometry` is that of the next
     touch's sensor. `press_m`, metres, is the press depth of approaches that state none. `sharpness`, 1 or more, is the
     ratio of the evidence that contacts give to their evidence with strong noise: see `measure_sharpness`. `objects` are
-    those of the K modes.
+    those of the K modes. Raises TouchError unless there are as many objects and probabilities as poses.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -45,6 +45,13 @@ class PoseModes:
     press_m: float
     unlisted: float = 0.0
     sharpness: float = 1.0
+
+    def __post_init__(self) -> None:
+        counts = len(self.objects), len(self.T_base_object), len(self.probabilities)
+        if len(set(counts)) > 1:
+            raise TouchError(
+                "modes have {} objects, {} poses and {} probabilities; give one of each for each mode".format(*counts)
+            )
 
     @classmethod
     def of(cls, found: Localization) -> PoseModes:

@@ -128,7 +128,6 @@ def test_errors_are_those_at_the_tip_up_to_the_shanks_symmetry():
 @pytest.mark.slow
 def test_a_trial_runs_all_methods_and_repeats_itself(experiment):
     trial = BY_PART["bolt"]
-    experiment.run(trial)  # builds the part's model, so that both other runs read it from the store
     records = experiment.run(trial)
     again = experiment.run(trial)
     assert records == again

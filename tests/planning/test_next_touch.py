@@ -120,6 +120,11 @@ def test_poses_that_are_equal_by_symmetry_are_merged(make_box):
     assert np.allclose(modes.T_base_object[0], np.eye(4))
 
 
+def test_each_mode_needs_its_object_and_probability(turned):
+    with pytest.raises(TouchError, match=naming("2 objects", "4 poses", "2 probabilities")):
+        dataclasses.replace(turned, T_base_object=np.tile(turned.T_base_object, (2, 1, 1)))
+
+
 def test_an_approach_out_of_reach_is_never_chosen(turned):
     inside = Approach(make_transform(align_to_z([-1, 0, 0]).T, np.zeros(3)))
     far = towards([-1, 0, 0], cost=np.inf, name="far")
