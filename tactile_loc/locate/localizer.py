@@ -254,7 +254,7 @@ class Localizer:
 
     @use_one_blas_thread()
     def find_most_probable_pose(self, touch: Touch) -> JudgedHypothesis:
-        """Return the most probable pose, refined, with its probability, verdict and covariance: see `localize`."""
+        """Return the first pose of `localize`, refined, with its probability, verdict and covariance."""
         found = self.localize(touch, top=1)
         return JudgedHypothesis(**vars(found.best), verdict=found.verdict)
 

@@ -219,9 +219,12 @@ class LocatingMethod:
         return found[0] if len(found) == 1 else None
 
     def propose(self, scored: Scored, posterior: PosePosterior, query: Query) -> list[Mode]:
-        """Return the modes of the posterior to refine, and the poses that the query gives."""
+        """Return the modes of the posterior to refine, and the poses that the query gives.
+
+        A query that lists fewer poses than the settings has the same modes, and so the same verdict.
+        """
         with query.times.stage("modes"):
-            top = query.top if query.coverage is None else max(query.top, LISTED)
+            top = max(query.top, self.config.top, LISTED if query.coverage is not None else 0)
             modes = self.source.propose(query.views, scored, posterior, self.temper_prior(query), top)
             if query.starts is None:
                 return modes

@@ -18,6 +18,7 @@ from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.sources import scoring
 from tactile_loc.locate.sources.scoring import FEWEST_MATCHERS
@@ -96,8 +97,9 @@ def test_a_result_is_sorted_and_complete(pin, touches):
 
 def test_best_pose_is_the_most_probable_refined(pin, touches):
     touch = touches[1]
-    posterior = pin.posterior(touch)
-    expected = pin.refine(touch, posterior, [posterior.find_likeliest()])[0]
+    best = pin.localize(touch).best
+    expected = pin.refine(touch, pin.posterior(touch), [best.grid_index])[0]
+    assert np.array_equal(best.T_sensor_object, expected.T_sensor_object)
     assert np.array_equal(pin.find_most_probable_pose(touch).T_sensor_object, expected.T_sensor_object)
 
 
@@ -382,6 +384,16 @@ def test_the_most_probable_pose_has_a_probability_a_verdict_and_a_covariance(pin
     assert found.imprint_iou == pytest.approx(pin.scene.imprint_ious(found.T_sensor_object[None], located)[0])
     assert (np.linalg.eigvalsh(found.covariance) > 0).all()
     np.testing.assert_allclose(found.T_base_object[:3, 3] - found.T_sensor_object[:3, 3], [0.3, 0.0, 0.1], atol=1e-12)
+
+
+@pytest.mark.parametrize("noise", ["none", "mild"])
+def test_the_verdict_does_not_depend_on_how_a_touch_is_located_or_how_many_poses_are_listed(pin, noise):
+    given = pin.simulate(8, seed=3, noise=noise)
+    for touch, many in zip(given, pin.localize_many(given), strict=True):
+        whole, found = pin.localize(touch), pin.find_most_probable_pose(touch)
+        assert found.verdict is whole.verdict is many.verdict is LocatedFrame.of(whole).verdict
+        assert found.probability == whole.best.probability == many.best.probability
+        assert pin.localize(touch, top=3).outcome == whole.outcome == many.outcome
 
 
 def test_the_most_probable_pose_of_a_refiner_without_covariances_has_one(pin, touches, store):
