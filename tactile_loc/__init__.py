@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from tactile_loc.locate.localizer import localize_together as localize_together
     from tactile_loc.locate.probability.null_evidence import NullEvidence as NullEvidence
     from tactile_loc.locate.probability.temperature import TemperatureScaling as TemperatureScaling
+    from tactile_loc.locate.result.freedom import Freedom as Freedom
     from tactile_loc.locate.result.hypothesis import Hypothesis as Hypothesis
     from tactile_loc.locate.result.hypothesis import JudgedHypothesis as JudgedHypothesis
     from tactile_loc.locate.result.localization import Localization as Localization

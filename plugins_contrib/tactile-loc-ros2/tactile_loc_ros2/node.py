@@ -34,7 +34,7 @@ from tactile_loc_ros2.messages import (
     MessageMaker,
 )
 from tactile_loc_ros2.options import LISTS, NEVER, OPTIONS, NodeOptions, make_parser, split_arguments
-from tactile_loc_ros2.touches import Reply, TouchSet, round_known, view_in_base
+from tactile_loc_ros2.touches import Reply, TouchSet, describe_freedom, round_known, view_in_base
 
 Floats = NDArray[np.float64]
 
@@ -256,7 +256,7 @@ def describe_result(located: LocatedFrame, stamp_ns: int, frame: str, slipped: b
     return json.dumps({
         "stamp_ns": stamp_ns, "frame": frame, "verdict": located.verdict and located.verdict.value,
         "says": located.says, "probability": round_known(located.probability),
-        "imprint_iou": round_known(located.imprint_iou),
+        "imprint_iou": round_known(located.imprint_iou), "freedom": describe_freedom(located.freedom),
         "T_frame_object": None if T is None else T.tolist(), "slipped": slipped, "seconds": round_known(seconds),
     })  # fmt: skip
 

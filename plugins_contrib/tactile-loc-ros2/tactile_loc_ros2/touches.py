@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from tactile_loc import (
     Approach,
+    Freedom,
     Localization,
     Localizer,
     LocatedFrame,
@@ -148,6 +149,7 @@ class TouchSet:
             frame=self.frame, verdict=found.verdict.value, probability=round_known(found.probability_within()),
             imprint_iou=round_known(found.best.imprint_iou), touches=len(self), poses=len(found.hypotheses),
             T_frame_object=None if T is None else T.tolist(), covariance=None if C is None else C.tolist(),
+            freedom=describe_freedom(found.freedom),
             outliers=[touch.name for touch in found.outliers], next_step=suggest_next_step(found),
         )  # fmt: skip
         return replace(reply, found=found)
@@ -186,6 +188,11 @@ class TouchSet:
 def round_known(number: float | None) -> float | None:
     """Return a number with four decimals; None, which JSON can express, if it is unknown or not finite."""
     return None if number is None or not math.isfinite(number) else round(float(number), 4)
+
+
+def describe_freedom(freedom: Freedom | None) -> dict[str, Any] | None:
+    """Return what touches leave open as JSON values: in words, and as in result.json; None if it is unknown."""
+    return None if freedom is None else {"says": str(freedom), **freedom.to_json()}
 
 
 def view_in_base(found: Localization) -> LocatedFrame:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tactile_loc import LocatedFrame, TactileLocError, Verdict
+from tactile_loc import Freedom, LocatedFrame, TactileLocError, Verdict
 from tactile_loc.plugin import MissingLibraryError
 
 from tactile_loc_ros2 import node
@@ -94,6 +94,24 @@ def test_each_image_gets_a_pose_a_verdict_a_result_and_markers(start, make_image
     assert len(ros.last("~/markers").markers) == 3
     assert "/tf" not in ros.published
     assert ros.warned == []
+
+
+def test_the_result_states_a_possible_slide_and_turn(start, make_image, depth_m):
+    slide, turn = np.array([0.0, 0.0, 0.004]), np.array([0.0, np.pi, 0.0])
+    freedom = Freedom(0, slide, turn, np.zeros(3), np.zeros(3), 1e-4)
+
+    def estimate(touch) -> LocatedFrame:
+        return LocatedFrame(Verdict.AMBIGUOUS, T[None], np.ones(1), C, 0.9, freedom=freedom)
+
+    ros = start(estimator=estimate)
+    ros.receive("/gel/image", make_image(depth_m))
+    result = json.loads(ros.last("~/result").data)["freedom"]
+    assert (result["slide_m"], result["turn_rad"]) == (slide.tolist(), turn.tolist())
+    assert "4.0 mm along z of the object" in result["says"]
+    assert (result["others"], result["contact_std_m"]) == (0, 1e-4)
+    ros = start()  # an estimator that does not know it, such as a track
+    ros.receive("/gel/image", make_image(depth_m))
+    assert json.loads(ros.last("~/result").data)["freedom"] is None
 
 
 def test_markers_are_made_only_for_a_display(start, make_image, depth_m):

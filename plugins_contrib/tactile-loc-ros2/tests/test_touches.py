@@ -90,6 +90,17 @@ def test_touches_are_located_together_in_the_base_frame(touches, two):
     assert touches.locate().found is not reply.found
 
 
+def test_the_answer_states_what_the_touches_leave_open_in_the_objects_frame(touches, two):
+    add(touches, two[0], 1)
+    reply = touches.locate()
+    said, freedom = json.loads(reply.message)["freedom"], reply.found.freedom
+    assert said["says"] == str(freedom)
+    assert said["others"] == freedom.others
+    np.testing.assert_array_equal(said["slide_m"], freedom.slide_m)
+    np.testing.assert_array_equal(said["turn_rad"], freedom.turn_rad)
+    assert said["contact_std_m"] == freedom.contact_std_m
+
+
 def test_one_touch_without_a_sensor_pose_is_located_in_the_sensor_frame(touches, two):
     add(touches, replace(two[0], T_base_sensor=None), 1)
     reply = touches.locate()

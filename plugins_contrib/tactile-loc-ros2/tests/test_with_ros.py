@@ -143,6 +143,7 @@ def test_an_image_gets_a_pose_and_a_verdict(start, client, depth_m, localizer):
     assert np.linalg.eigvalsh(np.reshape(pose.pose.covariance, (6, 6))).min() > 0
     result = json.loads(client.got["/tactile_loc/result"][0].data)
     assert client.got["/object/verdict"][0].data == result["verdict"]
+    assert result["freedom"]["others"] >= 0
     assert client.got["/tactile_loc/markers"][0].markers[1].ns == "object"
     process.send_signal(signal.SIGINT)
     assert process.wait(ANSWER_S) == 0, process.stderr.read()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.json_keys import Key, Keys, write_keys
 
 Float64 = NDArray[np.float64]
 
@@ -29,6 +31,23 @@ SMALL_TURN_RAD = np.radians(5.0)  # smaller turns are not mentioned
 WIDE = 2.0  # standard deviations: 95 % of the errors along one direction are smaller
 ALONG = np.cos(np.radians(15.0))  # directions nearer to an axis have its name
 NOTHING = np.zeros(3)
+
+FREEDOM: Keys = {
+    "others": Key("integer", "number of other hypotheses that explain the touches equally well"),
+    "slide_m": Key("numbers", "largest possible slide along the object's x, y, z, m; 0 if small"),
+    "turn_rad": Key(
+        "numbers", "largest possible turn in place, a rotation vector about the object's x, y, z, rad; 0 if small"
+    ),
+    "other_turn_rad": Key(
+        "numbers", "rotation vector from the first pose to the most probable other one, in the object's frame, rad"
+    ),
+    "other_shift_m": Key(
+        "numbers", "shift of the object's centroid from the first pose to that one, the same frame, m"
+    ),
+    "contact_std_m": Key(
+        "number or null", "largest standard deviation of the position at the contact, m; null if unknown"
+    ),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +81,10 @@ class Freedom:
         if said and self.contact_std_m is not None and not self.others and not self.slide_m.any():
             said.insert(0, f"position at the contact within {format_mm(WIDE * self.contact_std_m)} mm")
         return "; ".join(said)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the values of FREEDOM, as JSON values."""
+        return write_keys(FREEDOM, self)
 
     def _describe_other(self) -> str:
         moved = []

@@ -177,7 +177,7 @@ class Localization:
             left_out=[result_json.write_touch(one, source) for one in self.left_out],
             tolerance=self.tolerance,
             unexpected=self.unexpected,
-            freedom=write_keys(result_json.FREEDOM, about.freedom),
+            freedom=about.freedom.to_json(),
             elsewhere=self.posterior.elsewhere,
             missed=self.posterior.elsewhere if self.outcome is None else self.outcome.missed,
             posterior_touches=self.posterior.touches,

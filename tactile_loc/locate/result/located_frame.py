@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.lie import rotate_covariance
 from tactile_loc.core.runtime.errors import GridError, NoContactError, TactileLocError
 from tactile_loc.io.json_keys import Key, Keys, write_keys
+from tactile_loc.locate.result.freedom import Freedom
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict, name_verdict
 
@@ -49,7 +50,8 @@ class LocatedFrame:
     reason. `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with
     `probabilities` (K,). `covariance` (6, 6), as in RefinedPose, belongs to the first pose; None if unknown.
     `imprint_iou`, 0 to 1, states how well the first pose explains the touch; NaN without a touch. `seconds` is the time
-    to locate the frame; NaN if not measured.
+    to locate the frame; NaN if not measured. `freedom` is what the touches leave open about the first pose; None if it
+    is unknown, as in a track.
     """
 
     verdict: Verdict | None
@@ -59,6 +61,7 @@ class LocatedFrame:
     imprint_iou: float = math.nan
     seconds: float = math.nan
     says: str = ""
+    freedom: Freedom | None = None
 
     @classmethod
     def of(cls, localization: Localization) -> LocatedFrame:
@@ -66,7 +69,15 @@ class LocatedFrame:
         poses = np.stack([one.T_sensor_object for one in localization.hypotheses])
         shares = np.array([one.probability for one in localization.hypotheses])
         best, seconds = localization.best, sum(localization.seconds.values())
-        return cls(localization.verdict, poses, shares, best.refined.covariance, best.imprint_iou, seconds)
+        return cls(
+            localization.verdict,
+            poses,
+            shares,
+            best.refined.covariance,
+            best.imprint_iou,
+            seconds,
+            freedom=localization.freedom,
+        )
 
     @classmethod
     def of_error(cls, error: TactileLocError) -> LocatedFrame:

@@ -24,7 +24,7 @@ from tactile_loc.io.json_keys import Key, Keys, read_keys, write_keys
 from tactile_loc.io.streams.records import read_document
 from tactile_loc.locate.probability.conformal import PoseSet
 from tactile_loc.locate.result.assessment import Assessment, PoseErrors
-from tactile_loc.locate.result.freedom import Freedom
+from tactile_loc.locate.result.freedom import FREEDOM, Freedom
 from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis, RefinedBy
 from tactile_loc.locate.result.verdict import Outcome, Verdict
 
@@ -190,23 +190,6 @@ ERRORS: Keys = {
     "best_m": Key("number", "error of the first hypothesis, m"),
     "best_listed_m": Key("number", "smallest error of the listed hypotheses, m"),
     "closest_in_grid_m": Key("number", "error of the grid pose nearest to the true pose, m"),
-}
-
-FREEDOM: Keys = {
-    "others": Key("integer", "number of other hypotheses that explain the touches equally well"),
-    "slide_m": Key("numbers", "largest possible slide along the object's x, y, z, m; 0 if small"),
-    "turn_rad": Key(
-        "numbers", "largest possible turn in place, a rotation vector about the object's x, y, z, rad; 0 if small"
-    ),
-    "other_turn_rad": Key(
-        "numbers", "rotation vector from the first pose to the most probable other one, in the object's frame, rad"
-    ),
-    "other_shift_m": Key(
-        "numbers", "shift of the object's centroid from the first pose to that one, the same frame, m"
-    ),
-    "contact_std_m": Key(
-        "number or null", "largest standard deviation of the position at the contact, m; null if unknown"
-    ),
 }
 
 PARTS: dict[str, tuple[str, Keys]] = {  # the objects in a document, with their meanings
