@@ -161,9 +161,9 @@ def doubt(localization, *, poor=(), ious=(0.8,), press_m=0.0, **changes):
     touch, *others = (dataclasses.replace(localization.touch, name=f"touch-{k}") for k in range(len(ious)))
     best = dataclasses.replace(localization.best, imprint_ious=ious, imprint_iou=float(np.mean(ious)))
     assessed = dataclasses.replace(localization.assessment, poor_touches=poor)
-    evidence = dataclasses.replace(localization.evidence, press_m=np.full(len(ious), press_m))
+    evidence = dataclasses.replace(localization.evidence, press_m=np.zeros(len(ious)) + press_m)
     found = {"touch": touch, "others": tuple(others), "hypotheses": (best,), "assessed": assessed, "evidence": evidence}
-    return list_doubts(dataclasses.replace(localization, **found, **changes))
+    return list_doubts(dataclasses.replace(localization, **(found | changes)))
 
 
 def agree(*best_ious, outliers=(), contradictory=False):
@@ -180,8 +180,9 @@ def test_a_result_without_poor_touches_causes_no_doubt(localization):
         ((0.41,), (0,), {}, ("object", "sensor", "unit", "press")),
         ((0.41,), (0,), {"press_m": 4e-4}, ("press", "deeper")),
         ((0.41,), (0,), {"press_m": -4e-4}, ("press", "lighter")),
-        ((0.9, 0.41), (1,), agree(0.9, 0.9), ("moved", "T_base_sensor")),
-        ((0.9, 0.41), (1,), agree(0.9, 0.45), ("T_base_sensor", "object", "unit")),
+        ((0.9, 0.41), (1,), agree(0.9, 0.9), ("moved", "T_base_sensor", "mirrored")),
+        ((0.9, 0.41), (1,), agree(0.9, 0.45), ("touch-1 fit no pose", "mesh", "unit", "sensor")),
+        ((0.9, 0.41), (1,), agree(0.9, 0.9) | {"press_m": (4e-4, 0.0)}, ("moved",)),  # one touch shows no press
         ((0.9, 0.41), (1,), agree(0.9, 0.9) | {"press_m": 4e-4}, ("press", "deeper")),
     ],
 )
@@ -200,6 +201,26 @@ def test_a_press_is_named_only_if_all_touches_show_it_clearly(localization):
     assert name_likely_cause(dataclasses.replace(localization, evidence=mixed)) == name_likely_cause(localization)
 
 
+def test_a_press_that_several_touches_show_is_a_doubt_unless_the_verdict_is_certain(localization):
+    assert localization.verdict is not Verdict.CERTAIN
+    (said,) = doubt(localization, ious=(0.8, 0.8), press_m=4e-4)
+    assert not missing(said, "press", "deeper")
+    certain = dataclasses.replace(localization.assessment, verdict=Verdict.CERTAIN)
+    assert doubt(localization, ious=(0.8, 0.8), press_m=4e-4, assessed=certain) == []
+
+
+def test_touches_that_fit_no_pose_are_a_doubt_if_the_pose_was_not_found(localization):
+    lost = {"assessed": dataclasses.replace(localization.assessment, verdict=Verdict.NOT_FOUND)}
+    (said,) = doubt(localization, ious=(0.8, 0.3), **agree(0.8, 0.4), **lost)
+    assert not missing(said, "touch-1 fit no pose", "mesh", "unit", "sensor")
+    assert doubt(localization, ious=(0.8, 0.3), **agree(0.8, 0.9), **lost) == []
+
+
+def test_outliers_name_a_motion_or_another_part(localization):
+    (said,) = doubt(localization, ious=(0.9, 0.9, 0.1), **agree(0.9, 0.9, 0.9, outliers=(2,), contradictory=True))
+    assert not missing(said, "2 of 3 touches agree", "touch-2", "moved", "T_base_sensor", "another part")
+
+
 def test_a_prior_that_contradicts_the_touches_is_named(localization):
     alone = dataclasses.replace(localization, hypotheses=(dataclasses.replace(localization.best, imprint_iou=0.95),))
     near, far = (
@@ -210,9 +231,9 @@ def test_a_prior_that_contradicts_the_touches_is_named(localization):
     assert found.unexpected
     assert "prior" in list_doubts(found)[0]
     assert found.verdict is not Verdict.CERTAIN
-    said = doubt(localization, poor=(0,), press_m=4e-4, unexpected=True)
-    assert len(said) == 2
-    assert all("prior" in sentence and "mm more" not in sentence for sentence in said)
+    poor, cause = doubt(localization, poor=(0,), press_m=4e-4, unexpected=True)
+    assert "prior" in cause
+    assert "press" not in poor + cause
 
 
 def test_touches_that_contradict_the_others_are_named(localization):
