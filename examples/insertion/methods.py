@@ -19,7 +19,7 @@ from tactile_loc.plugin import TouchError, invert
 Pose = NDArray[np.float64]
 
 PRIOR_STD_M, PRIOR_STD_RAD = 5e-3, np.radians(10)  # of the nominal pose
-LISTED = 30
+LISTED = 20  # of the hypotheses; the search refines as many in any case
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from meshes import write_mesh
 from numpy.typing import NDArray
 from robot import Robot
 from scene import OPEN_M
-from shapes import TIP_Z_M, Part
+from shapes import MOUTH_CHAMFER_M, TIP_CHAMFER_M, TIP_Z_M, Part
 
 from tactile_loc import Localizer, RobotTouches, StageStore, Touch, make_noise
 from tactile_loc.plugin import bring_to_contact, invert, make_transform, registry
@@ -21,8 +21,9 @@ from tactile_loc.plugin import bring_to_contact, invert, make_transform, registr
 Pose = NDArray[np.float64]
 
 SENSOR = {"name": "gelsight-mini", "options": {"gel": "layer", "image_size_px": [160, 120]}}
-TOLERANCE = f"tip:0.9mm@0,0,{1e3 * TIP_Z_M:g}"  # the chamfers catch errors of the tip up to 0.9 mm
-CONFIDENCE = 0.85  # the fingers feel if the tip meets the plate, so a wrong insertion costs little
+CAUGHT_M = TIP_CHAMFER_M + MOUTH_CHAMFER_M  # the error of the tip that both chamfers catch without any clearance
+TOLERANCE = f"tip:{1e3 * CAUGHT_M:g}mm@0,0,{1e3 * TIP_Z_M:g}"
+CONFIDENCE = 0.75  # the fingers feel if the tip meets the plate; such an attempt costs as much as about four grasps
 NOISE = "mild"
 ENCODER_STD_M, ENCODER_STD_RAD = 1e-4, np.radians(0.2)  # errors of the gels' reported poses
 LEAST_PRESS_M = 5e-5
