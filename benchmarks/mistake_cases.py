@@ -36,9 +36,9 @@ WORDS = {
     UNITS: r"\bunits?\b|in metres|\bscale",
     PRESS: r"\bpress",
     POSES: r"T_base_sensor|sensor poses|moved",
-    IMAGES: r"mirror|image|opposite|kind=|\bmaps?\b|\bsign\b|zero level",
-    SENSORS: r"\bsensors?\b(?! poses)|\bgels?\b",
-    PART: r"\bobject\b(?! moved)|\bmesh|\bpart\b",
+    IMAGES: r"mirror|image|opposite|kind=|\bmaps?\b|\bsign\b",
+    SENSORS: r"(?<!on the )\bsensors?\b(?! poses)",
+    PART: r"\bobject\b(?! moved| on)|\bmesh|\bpart\b",
     PRIORS: r"\bprior",
 }
 

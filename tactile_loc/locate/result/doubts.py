@@ -39,10 +39,10 @@ def name_likely_cause(found: Localization) -> str:
         return _name_press(pressed)
     if len(found.touches) == 1:
         return "check the object, the sensor, the unit and the press of the touch"
-    if unfit := _list_unfit(found):
-        return f"{', '.join(unfit)} fit no pose: the mesh, its unit or the sensor may be wrong"
     if found.agreement.outliers:
         return "the object moved meanwhile, a T_base_sensor is wrong, or these touches are of another part"
+    if unfit := _list_unfit(found):
+        return f"{', '.join(unfit)} fit no pose: the mesh, its unit or the sensor may be wrong"
     return (
         "each touch fits a pose, but no pose fits all: the object moved meanwhile, a T_base_sensor is wrong, or the "
         "images are mirrored"
@@ -50,7 +50,7 @@ def name_likely_cause(found: Localization) -> str:
 
 
 def _name_press(pressed: str) -> str:
-    return f"the touches fit a {pressed} press: check the press depth, the unit, and the sensor's zero level"
+    return f"the touches fit a {pressed} press: check the press depth, the unit, and the zero level of the images"
 
 
 def _list_unexplained(found: Localization) -> list[str]:
