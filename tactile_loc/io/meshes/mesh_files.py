@@ -55,7 +55,8 @@ class Surface(NamedTuple):
 def read_surface(path: Path) -> Surface:
     """Read and merge the faces of a mesh file, as triangles. Raises ObjectError when it is missing, damaged or empty.
 
-    Raises MissingLibraryError when the format needs a library that is not installed.
+    If all triangles of a closed surface face inwards, they are turned outwards. Raises MissingLibraryError when the
+    format needs a library that is not installed.
     """
     if not os.path.isfile(path):
         if os.path.isdir(path):
@@ -89,7 +90,10 @@ def read_surface(path: Path) -> Surface:
     if len(plain.faces) == 0:
         raise ObjectError(f"{path} has zero extent: all its faces are points or lines; {EXPORT_AGAIN}")
     vertices, faces = np.asarray(plain.vertices, float), np.asarray(plain.faces, np.int64)
-    return Surface(vertices, faces, bool(plain.is_watertight), metres_per_unit)
+    watertight = bool(plain.is_watertight)
+    if watertight and plain.is_winding_consistent and plain.volume < 0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+    return Surface(vertices, faces, watertight, metres_per_unit)
 
 
 def _read_polygons(path: Path) -> tuple[Polygons, float | None]:

@@ -208,6 +208,15 @@ def test_reading_does_not_move_rotate_or_reorder_the_surface(tmp_path):
     assert isinstance(again, TriangleMesh)
 
 
+def test_a_closed_surface_that_faces_inwards_is_turned(tmp_path):
+    box = trimesh.creation.box(SIDES_M)
+    box.invert()
+    box.export(tmp_path / "inverted.stl")
+    corners_m = load_object(tmp_path / "inverted.stl", units="m", symmetry="none").mesh.triangles_m
+    normals = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    assert (np.einsum("fi,fi->f", normals, corners_m.mean(axis=1)) > 0).all()
+
+
 def test_a_simplified_surface_has_fewer_faces_and_the_same_shape():
     ball = trimesh.creation.icosphere(4, 0.02)
     mesh = TriangleMesh(np.array(ball.vertices), np.array(ball.faces, np.int64))
