@@ -16,7 +16,7 @@ from tactile_loc.locate.probability.null_evidence import NullEvidence
 Values = Callable[[Results], Sequence[float]]
 
 DRAWN = ("same mesh", "scanned, 0.05 mm", "scanned, 0.1 mm", "decimated, 0.1 mm", "unseen noise")
-PARTS_APART = ("pin", "damping pin", "cotter")
+PARTS_APART = ("pin", "damping_pin", "cotter")
 EXAMPLES = 15  # number of examples in each row of the table of outliers
 PAPER = (
     ("pin", "best-1", "0.11"), ("damping pin", "best-1", "0.16"), ("head", "best-1", "0.18"),
@@ -60,15 +60,14 @@ def five_located(r: Results) -> list[float]:
     return [*(100 * hits / of for _, hits, of in cells), cells[1][0], cells[2][0]]
 
 
-def outside(r: Results, column: int, *drawn: str) -> list[float]:
-    """Return the mean share over the parts, %, of touches within 1 mm, for touches of each of the meshes `drawn`."""
-    return [mean(r.at("outside", 1, column, part, one)[0] for part in PARTS_APART) for one in drawn]
+def outside(r: Results, touches: str, *drawn: str) -> list[float]:
+    """Return the mean share over the parts, %, of examples within 1 mm, for touches of each of the meshes `drawn`."""
+    return [mean(r.at("outside", 1, "within 1 mm", part, one, touches)[0] for part in PARTS_APART) for one in drawn]
 
 
 def medians_outside(r: Results, *drawn: str) -> list[float]:
     """Return the least and the greatest median of three touches, mm."""
-    column = "three touches: median, mm"
-    return ends([r.at("outside", 1, column, part, one)[0] for part in PARTS_APART for one in drawn])
+    return ends([r.at("outside", 1, "median, mm", part, one, "3")[0] for part in PARTS_APART for one in drawn])
 
 
 def renderer(r: Results, digits: int, place: int) -> list[float]:
@@ -167,15 +166,15 @@ QUOTES: dict[str, dict[str, Values]] = {
         "| within 0.5 mm, clean touches, all cases | {} % | {} % | {} % |":
             lambda r: [r.at("contacts-clean", 1, touches, "all 14")[0] for touches in "235"],
         "| within 1 mm, strong noise, all cases | | {} % | {} % |":
-            lambda r: [r.at("contacts-strong", 1, place, "all 14")[0] for place in (2, 6)],
+            lambda r: [r.at("contacts-strong", 2, "1 mm", "all 14", touches)[0] for touches in "35"],
         "10 000 poses, one touch). Without noise, the median error is {} to {} mm on seven of nine": one_touch,
         "With strong noise, the median error is {} to {} mm on the six demo objects":
             lambda r: ends(r.column("evaluate", 1, "chosen")[:6]),
         "from its mesh by 0.1 mm** (three demo objects, GelSight Mini). With one touch of a known face, the error is "
         "below 1 mm in {} to {} % of the examples, instead of {} % with an exact mesh":
-            lambda r: outside(r, 3, DRAWN[2], DRAWN[3], DRAWN[0]),
+            lambda r: outside(r, "1", DRAWN[2], DRAWN[3], DRAWN[0]),
         "With three touches from any direction, it is below 1 mm in {} to {} %, instead of {} %":
-            lambda r: outside(r, 5, DRAWN[2], DRAWN[3], DRAWN[0]),
+            lambda r: outside(r, "3", DRAWN[2], DRAWN[3], DRAWN[0]),
         "| build a model, once per object | {} to {} s |": range_of("search", 1, "build, s"),
         "| fit its probabilities for one touch, once per object | {} to {} s |": range_of("search", 1, "fit, s"),
         "| locate: whole object, ten refined hypotheses | {} to {} ms |":
@@ -225,14 +224,14 @@ QUOTES: dict[str, dict[str, Values]] = {
     },
     "docs/benchmarks/outside-the-model.md": {
         "within 1 mm in {} % of the examples with the same mesh, {} and {} % with scans, {} % decimated, {} % with the "
-        "unseen noise": lambda r: outside(r, 5, *DRAWN),
+        "unseen noise": lambda r: outside(r, "3", *DRAWN),
         "Their median error grows from {} mm to the error of the mesh or more":
             lambda r: medians_outside(r, DRAWN[0])[1:],
         "{} to {} mm with scans, {} to {} mm decimated":
             lambda r: [*medians_outside(r, *DRAWN[1:3]), *medians_outside(r, DRAWN[3])],
         "With one touch, poses are within 1 mm in {} % with the same mesh, {} and {} % with scans, {} % "
         "decimated, {} % with the "
-        "unseen noise": lambda r: outside(r, 3, *DRAWN),
+        "unseen noise": lambda r: outside(r, "1", *DRAWN),
     },
     "docs/benchmarks/probabilities.md": {
         "The worst are the 50 % sets of one touch, which hold {} %":
