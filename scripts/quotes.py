@@ -176,7 +176,6 @@ QUOTES: dict[str, dict[str, Values]] = {
         "With three touches from any direction, it is below 1 mm in {} to {} %, instead of {} %":
             lambda r: outside(r, "3", DRAWN[2], DRAWN[3], DRAWN[0]),
         "| build a model, once per object | {} to {} s |": range_of("search", 1, "build, s"),
-        "| fit its probabilities for one touch, once per object | {} to {} s |": range_of("search", 1, "fit, s"),
         "| locate: whole object, ten refined hypotheses | {} to {} ms |":
             times_of("whole object, ten refined hypotheses"),
         "| locate: one face, ten refined hypotheses | {} to {} ms |\n"
