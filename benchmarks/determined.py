@@ -2,9 +2,10 @@
 
 The search shares nothing with the verdict. It uses no places, no encoder, no imprint IoU and no registration of the
 project. A dense sample of the object's surface, turned in steps of 5 degrees, is aligned with the deepest contact of
-the first touch. A field of signed distances rates all these poses by the touches' points. The best ones are moved by
-Gauss-Newton steps in this field, and drawn by ray casting. A pose fits if its depths differ from those of each touch by
-at most MARGIN_M (root mean square over the pixels that either of them has in contact).
+the first touch. A field of signed distances rates all these poses by the touches' points. The best ones, and the true
+pose turned about the object's principal axes, are moved by Gauss-Newton steps, and drawn by ray casting. A pose fits if
+its depths differ from those of each touch by at most MARGIN_M (root mean square over the pixels that either of them has
+in contact).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Float64 = NDArray[np.float64]
 FAR_M = 1e-3  # pose error from which another pose counts
 MARGIN_M = 3e-5
 STARTS, TURNS = 3000, 72  # points of the surface, and turns about their normals
-POINTS, KEPT, STEPS = 40, 400, 25  # points of each touch, poses that are moved, and steps
+POINTS, KEPT, STEPS, DRAWN = 40, 400, 25, 100  # points of each touch, poses that are moved, steps, and poses drawn
 CELL_M, AROUND_M = 4e-4, 4e-3  # of the field, at least; and its border
 MOST_CELLS = 160  # along the longest side
 
@@ -104,11 +105,11 @@ def find_rival(obj: ObjectModel, renderer: Renderer, touches: Sequence[Touch], f
     deepest = int(first[:, 2].argmin())
     # the deepest point of a touch lies on the object, whose outward normal there faces the sensor
     starts = _align(obj, first[deepest], normals[deepest], rng)
-    T = _keep_best(field, starts, points_m, weights)
+    T = np.concatenate([_keep_best(field, starts, points_m, weights), truth @ _turn(obj)])
     T = _descend(field, T, points_m, weights)
     off_m = measure_pose_errors(obj, T, truth)
     others = np.flatnonzero(off_m > FAR_M)
-    others = others[np.argsort(_rate(field, T[others], points_m, weights))][:60]
+    others = others[np.argsort(_rate(field, T[others], points_m, weights))][:DRAWN]
     fits = [
         k
         for k in others
@@ -130,6 +131,16 @@ def _align(obj: ObjectModel, point_m: Float64, normal: Float64, rng: np.random.G
     turns = rotation_about([0.0, 0.0, 1.0], np.arange(TURNS) * 2 * np.pi / TURNS)
     R = (target @ turns @ frames[:, None]).reshape(-1, 3, 3)
     return make_transform(R, point_m - np.einsum("nij,nj->ni", R, np.repeat(places, TURNS, axis=0)))
+
+
+def _turn(obj: ObjectModel) -> Poses:
+    """Return turns (N, 4, 4) about the principal axes: in steps of 5 degrees about each, and then by half a turn."""
+    middle_m = obj.mesh.centroid_m
+    axes = np.linalg.svd(obj.mesh.sample(STARTS, np.random.default_rng(0)) - middle_m, full_matrices=False)[2]
+    halves = np.stack([np.eye(3), *(rotation_about(axis, np.pi) for axis in axes)])
+    turns = np.concatenate([rotation_about(axis, np.arange(TURNS) * 2 * np.pi / TURNS) for axis in axes])
+    R = (halves[:, None] @ turns).reshape(-1, 3, 3)
+    return make_transform(R, middle_m - R @ middle_m)
 
 
 def _make_frame(normals: Float64) -> Float64:

@@ -9,17 +9,16 @@ the surface of an elastic gel; otherwise the project's own solver does. Each par
 finished parts are skipped.
 
 `fit` fits boosted trees to the examples in a folder, compares them with a forest, logistic regression and a network on
-parts that are left out, and writes the shipped model; it needs scikit-learn. `judge` reads examples of other
-parts, and prints how often each verdict is right.
+parts that are left out, and writes the shipped model; it needs scikit-learn. Press and sensor faults are rarer at work
+than in the examples, so they have less weight: see FAULTY_WEIGHT. `verdicts.py` judges the model on other parts.
 
-An example is right if the pose error of its first pose is below the tolerance, which is 1 mm in `judge`.
+An example is right if the pose error of its first pose is at most the tolerance.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import itertools
 import json
 import logging
 import tempfile
@@ -27,48 +26,39 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import trimesh
+from determined import DistanceField, find_rival
 from elastic_gel import SIZES_PX, add_noise, press_elastic, view_as
 from generated_parts import EVERY, drill, make_box, make_cylinder, make_mesh
 from manifold3d import Manifold
 from numpy.typing import NDArray
 from outside import CORRELATION_M, simulate_scan
+from verdicts import Row, print_verdicts, read_rows, settle_row
 
 import tactile_loc.data
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Poses, make_transform, rotation_about
+from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
-from tactile_loc.core.poses.tolerance import Tolerance
+from tactile_loc.core.poses.tolerance import Tolerance, measure_shape_distances
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.hypotheses import compute_nats
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.probability.conformal import ELSEWHERE, Ranking
-from tactile_loc.locate.probability.evidence import FEATURES, TIE_IOU, Question, gather_evidence
-from tactile_loc.locate.probability.outcome_model import (
-    FILE,
-    FIT_FEATURES,
-    LEAST,
-    VERSION,
-    Trees,
-    load_outcome_model,
-    settle,
-    share_outcome,
-)
+from tactile_loc.locate.probability.evidence import FEATURES, Question, gather_evidence
+from tactile_loc.locate.probability.outcome_model import FILE, FIT_FEATURES, VERSION, Trees, share_outcome
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.verdict import Outcome, judge
+from tactile_loc.locate.result.verdict import judge
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 Float64 = NDArray[np.float64]
-Row = dict[str, Any]
 
 COUNTS = (1, 2, 3, 5)  # touches
 SENSORS = {**SIZES_PX, "digit": (120, 160)}
@@ -79,9 +69,11 @@ RIGHT = Tolerance(1e-3)
 TOLERANCES_M = (3e-4, 5e-4, 2e-3, 3e-3)  # beside RIGHT, one of these is fitted, too
 SCAN_M = (5e-5, 1.5e-4)  # root mean square deviation of a part from its mesh
 PRESS = (0.6, 1.5)  # factor of a wrong press
+FAULTY, FAULTY_WEIGHT = ("press", "sensor"), 0.3  # so that 7 % of the examples have a faulty press or sensor pose
 FOLDS = 5  # of the comparison
 QUANTILE = 0.998  # of the share that right poses leave unexplained; beyond it, a fit is poor
 SCORES = 2000  # of examples for conformal sets
+NEARLY = 0.01  # of the diagonal of a part
 SENSOR_M, STATED_M = (
     (3e-4, 3e-3),
     (1e-4, 6e-4),
@@ -193,7 +185,7 @@ def locate_part(part: tuple[str, str, str], sensors: Sequence[str], arguments: a
                 settings = {"name": sensor, "image_size_px": SENSORS[sensor], **(LAYER if gel == "layer" else {})}
                 localizer = Localizer.create(path, units=units or "auto", store=store, sensor=settings)
                 rng = np.random.default_rng([zlib.crc32(name.encode()), s, g, arguments.seed])
-                source = make_source(localizer, raycast, arguments)
+                source, kind = make_source(localizer, raycast, arguments), find_kind(localizer.object)
                 for number in range(arguments.examples):
                     if time.perf_counter() > end:
                         break
@@ -209,8 +201,10 @@ def locate_part(part: tuple[str, str, str], sensors: Sequence[str], arguments: a
                         )
                     noisy = dataclasses.replace(source, noise=NOISE[noise])
                     scanned = dataclasses.replace(noisy, object=altered)
-                    about = {"part": name, "sensor": sensor, "gel": gel, "noise": noise, "mistake": mistake}
-                    rows += locate_example(localizer, (noisy, scanned), about, rng)
+                    about = {"part": name, "kind": kind, "sensor": sensor, "gel": gel, "noise": noise}
+                    about["mistake"] = mistake
+                    search = arguments.determined and noise == "none" and mistake == "none"
+                    rows += locate_example(localizer, (noisy, scanned), about, rng, search)
     return rows
 
 
@@ -241,16 +235,20 @@ class ContactTouches(RobotTouches):
 
 
 def locate_example(
-    localizer: Localizer, sources: tuple[RobotTouches, RobotTouches], about: Row, rng: np.random.Generator
+    localizer: Localizer, sources: tuple[RobotTouches, RobotTouches], about: Row, rng: np.random.Generator, search: bool
 ) -> list[Row]:
-    """Return a row for each number of touches of an example; a refused one has only its error."""
+    """Return a row for each number of touches of an example; a refused one has only its error.
+
+    If `search` is set, other poses that fit three or five touches of a rigid gel are searched for.
+    """
     try:
         touches = draw_touches(*sources, about["mistake"], rng)
     except TactileLocError:
         return []
     rows = []
+    rivals = find_rivals(sources[0], touches) if search and not localizer.scene.geometry.gel.is_elastic else {}
     for count in COUNTS:
-        row = {**about, "touches": count}
+        row = {**about, "touches": count, "rival_m": rivals.get(count)}
         try:
             found = localize_together([(localizer, touch) for touch in touches[:count]])
             rows.append({**row, **describe(localizer, touches[:count], found, rng)})
@@ -259,11 +257,26 @@ def locate_example(
     return rows
 
 
-def read_rows(folder: Path) -> list[Row]:
-    """Return the rows of all parts in a folder, without those that were refused."""
-    rows = [row for path in sorted(folder.glob("*.json")) for row in json.loads(path.read_text())]
-    arrays = ("values", "fits", "near", "errors_m", "ious", "outcomes")
-    return [row | {name: np.array(row[name]) for name in arrays} for row in rows if "error" not in row]
+def find_rivals(source: RobotTouches, touches: Sequence[Touch]) -> dict[int, float]:
+    """Return the pose error, metres, of another pose that fits three or five touches; 0 if there is none."""
+    field = DistanceField(source.object)
+    three = find_rival(source.object, source.renderer, touches[:3], field)
+    return {3: three, 5: find_rival(source.object, source.renderer, touches[:5], field) if three else 0.0}
+
+
+def find_kind(obj: ObjectModel) -> str:
+    """Return "shaft" if an odd turn about a principal axis nearly maps a part onto itself, "twin" if half a turn does.
+
+    All other parts are "other". The surfaces are then apart by at most NEARLY diameters on average.
+    """
+    middle_m, extent_m = obj.mesh.centroid_m, float(np.linalg.norm(obj.mesh.extents_m))
+    axes = np.linalg.svd(obj.mesh.sample(4000, np.random.default_rng(0)) - middle_m, full_matrices=False)[2]
+    for kind, degrees in (("shaft", 37.0), ("twin", 180.0)):
+        R = np.stack([rotation_about(axis, np.radians(degrees)) for axis in axes])
+        turned = make_transform(R, middle_m - R @ middle_m)
+        if measure_shape_distances(obj.mesh, turned, np.eye(4)).min() <= NEARLY * extent_m:
+            return kind
+    return "other"
 
 
 def make_classifiers() -> dict[str, Any]:
@@ -274,7 +287,7 @@ def make_classifiers() -> dict[str, Any]:
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
-    boosted = {"max_iter": 120, "learning_rate": 0.04, "max_leaf_nodes": 6, "min_samples_leaf": 40, "max_features": 0.3}
+    boosted = {"max_iter": 240, "learning_rate": 0.04, "max_leaf_nodes": 8, "min_samples_leaf": 60, "max_features": 0.3}
     network = MLPClassifier((32, 16), alpha=1.0, early_stopping=True, max_iter=300, random_state=0)
     return {
         "gradient-boosted trees": HistGradientBoostingClassifier(**boosted, random_state=0),
@@ -284,19 +297,28 @@ def make_classifiers() -> dict[str, Any]:
     }
 
 
-def predict_left_out(make: Any, values: Float64, outcomes: NDArray[np.int64], parts: Sequence[str]) -> Float64:
-    """Return the probabilities (R, 3) of rows, each predicted by a fit without its part."""
+def train(model: Any, values: Float64, outcomes: NDArray[np.int64], weights: Float64) -> Any:
+    """Fit a model to rows with weights (R,), and return it."""
+    step = f"{model.steps[-1][0]}__" if hasattr(model, "steps") else ""  # of a pipeline
+    return model.fit(values, outcomes, **{f"{step}sample_weight": weights})
+
+
+def predict_left_out(
+    make: Any, values: Float64, outcomes: NDArray[np.int64], weights: Float64, parts: Sequence[str]
+) -> Float64:
+    """Return the probabilities (R, 3) of rows with weights (R,), each predicted by a fit without its part."""
     names = sorted(set(parts))
     fold = np.array([names.index(part) % FOLDS for part in parts])
     p = np.zeros((len(values), 3))
     for k in range(FOLDS):
-        p[fold == k] = make().fit(values[fold != k], outcomes[fold != k]).predict_proba(values[fold == k])
+        trained = train(make(), values[fold != k], outcomes[fold != k], weights[fold != k])
+        p[fold == k] = trained.predict_proba(values[fold == k])
     return p
 
 
-def compute_log_loss(p: Float64, outcomes: NDArray[np.int64]) -> float:
-    """Return the mean negative log-likelihood of outcomes (R,) given probabilities (R, C)."""
-    return float(-np.log(np.clip(p[np.arange(len(p)), outcomes], 1e-6, 1)).mean())
+def compute_log_losses(p: Float64, outcomes: NDArray[np.int64]) -> Float64:
+    """Return the negative log-likelihoods (R,) of outcomes (R,) given probabilities (R, C)."""
+    return np.asarray(-np.log(np.clip(p[np.arange(len(p)), outcomes], 1e-6, 1)))
 
 
 def export_trees(model: Any) -> Trees:
@@ -344,9 +366,7 @@ def compute_set_scores(rows: Sequence[Row], p: Float64) -> Float64:
     scores = []
     for row, outcome in zip(rows, p, strict=True):
         weights = np.exp(compute_nats(row["ious"], row["touches"]))
-        right, another, missed = np.clip(outcome, LEAST, 1 - LEAST).tolist()
-        equal = int((~row["near"] & (row["ious"] > row["ious"][0] - TIE_IOU)).sum())
-        shares, missed = share_outcome(weights, row["near"], settle(right, another, missed, row["near"], equal))
+        shares, missed = share_outcome(weights, row["near"], settle_row(row, outcome))
         found = np.flatnonzero(row["errors_m"] <= 1e-3)
         scores.append(Ranking.of(shares, missed).score(int(found[0]) if len(found) else ELSEWHERE))
     return np.array(scores)
@@ -357,20 +377,23 @@ def fit(arguments: argparse.Namespace) -> None:
     rows = read_rows(arguments.folder)
     values = np.concatenate([row["values"] for row in rows])
     outcomes = np.concatenate([row["outcomes"] for row in rows])
-    parts = [row["part"] for row in rows for _ in row["outcomes"]]
+    parts, mistakes = ([row[name] for row in rows for _ in row["outcomes"]] for name in ("part", "mistake"))
+    weights = np.where(np.isin(mistakes, FAULTY), FAULTY_WEIGHT, 1.0)
     at_one_mm = np.tile([True, False], len(rows))
     print(f"{len(rows)} results of {len(set(parts))} parts; log losses on parts left out, {FOLDS} folds\n")
     print("| form | all tolerances | 1 mm | fit, s |\n|---|---|---|---|")
     left_out = {}
     for name in make_classifiers():
         start = time.perf_counter()
-        p = predict_left_out(lambda name=name: make_classifiers()[name], values, outcomes, parts)
-        seconds, own = time.perf_counter() - start, compute_log_loss(p[at_one_mm], outcomes[at_one_mm])
-        print(f"| {name} | {compute_log_loss(p, outcomes):.3f} | {own:.3f} | {seconds:.0f} |", flush=True)
+        p = predict_left_out(lambda name=name: make_classifiers()[name], values, outcomes, weights, parts)
+        losses = compute_log_losses(p, outcomes)
+        every, one = (np.average(losses[some], weights=weights[some]) for some in (slice(None), at_one_mm))
+        print(f"| {name} | {every:.3f} | {one:.3f} | {time.perf_counter() - start:.0f} |", flush=True)
         left_out[name] = p[at_one_mm]
     chosen = next(iter(left_out))
-    trees, limits = export_trees(make_classifiers()[chosen].fit(values, outcomes)), fit_limits(rows)
-    scores = compute_set_scores(rows, left_out[chosen])
+    trees = export_trees(train(make_classifiers()[chosen], values, outcomes, weights))
+    sound = np.array([row["mistake"] not in FAULTY for row in rows])
+    scores = compute_set_scores([row for row in rows if row["mistake"] not in FAULTY], left_out[chosen][sound])
     about = {
         "version": VERSION,
         "features": list(FEATURES),
@@ -380,68 +403,16 @@ def fit(arguments: argparse.Namespace) -> None:
         "parts": sorted(set(parts)),
     }
     kept = np.sort(np.random.default_rng(0).choice(scores, min(len(scores), SCORES), replace=False))
-    np.savez_compressed(arguments.out, about=json.dumps(about), scores=kept, limits=limits, **vars(trees))
+    np.savez_compressed(arguments.out, about=json.dumps(about), scores=kept, limits=fit_limits(rows), **vars(trees))
     print(f"\nwritten: {arguments.out} ({arguments.out.stat().st_size / 1e3:.0f} kB)")
-    print_verdicts(rows, left_out[chosen][:, 0])
-
-
-def judge_rows(rows: Sequence[Row]) -> None:
-    """Set the probability and the verdict of rows at 1 mm to those of the shipped model."""
-    model = load_outcome_model()
-    for row in rows:
-        p = model.trees.predict(row["values"][0])
-        evidence = SimpleNamespace(fits=row["fits"])
-        poor = bool((model.measure_excess(evidence) > 0).any())
-        row["right"], row["verdict"] = float(p[0]), str(judge(Outcome(*p.tolist()), poor=poor))
-
-
-def print_verdicts(rows: Sequence[Row], right: Float64 | None = None) -> None:
-    """Print how often certain is right, by group, beside a plain rule: a gap of the imprint IoU."""
-    p = np.array([row["right"] for row in rows]) if right is None else right
-    first = np.array([row["outcomes"][0] == 0 for row in rows])
-    certain = p >= CERTAIN if right is not None else np.array([row["verdict"] == "certain" for row in rows])
-    gap = np.array([row["iou_gap"] for row in rows])
-    groups: dict[str, NDArray[np.bool_]] = {"all": np.ones(len(rows), bool)}
-    for key in ("touches", "noise", "gel", "sensor", "mistake"):
-        for value in sorted({row[key] for row in rows}, key=str):
-            groups[f"{key} {value}"] = np.array([row[key] == value for row in rows])
-    columns = (
-        "results",
-        "number",
-        "first right",
-        "certain",
-        "wrong of these",
-        "right by the gap rule",
-        "right by ours",
-    )
-    print(f"\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
-    for name, some in groups.items():
-        sure, wrong = certain[some], certain[some] & ~first[some]
-        rule = [(gap[some] > g) for g in np.linspace(0.005, 0.5, 100)]
-        good = [(r & first[some]).mean() for r in rule if r.any() and (~first[some][r]).mean() <= 0.02]
-        share = f"{wrong.sum()} of {sure.sum()} ({wrong.sum() / max(1, sure.sum()):.1%})"
-        shares = (max(good, default=0), (sure & first[some]).mean())
-        cells = (
-            name,
-            str(some.sum()),
-            f"{first[some].mean():.0%}",
-            f"{sure.mean():.0%}",
-            share,
-            *map("{:.0%}".format, shares),
-        )
-        print(f"| {' | '.join(cells)} |")
-    poor = np.array([row["verdict"] == "poor fit" for row in rows])
-    print(f"\npoor fits among right first poses: {poor[first].mean():.1%}; among wrong ones: {poor[~first].mean():.1%}")
-    edges = (0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99, 1.0001)
-    print("\n| stated | right | results |\n|---|---|---|")
-    for low, high in itertools.pairwise(edges):
-        some = (p >= low) & (p < high)
-        if some.any():
-            print(f"| {p[some].mean():.1%} | {first[some].mean():.1%} | {some.sum()} |")
+    for row, p in zip(rows, left_out[chosen], strict=True):
+        outcome = settle_row(row, p)
+        row["right"], row["verdict"] = outcome.right, str(judge(outcome))
+    print_verdicts(rows)
 
 
 def main() -> None:
-    """Draw, fit or judge."""
+    """Draw or fit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     tasks = parser.add_subparsers(dest="task", required=True)
     draw = tasks.add_parser("draw")
@@ -459,17 +430,13 @@ def main() -> None:
     draw.add_argument("--seconds", type=float, default=600, help="after which no further example of a part is drawn")
     draw.add_argument("--seed", type=int, default=7)
     draw.add_argument("--share", nargs=2, type=int, default=(0, 1), help="K N: every N-th part from number K")
-    fitted, judged = tasks.add_parser("fit"), tasks.add_parser("judge")
-    for one in (fitted, judged):
-        one.add_argument("folder", type=Path)
+    draw.add_argument("--determined", action="store_true", help="search for other poses that fit clean touches, too")
+    fitted = tasks.add_parser("fit")
+    fitted.add_argument("folder", type=Path)
     fitted.add_argument("--out", type=Path, default=Path(tactile_loc.data.__file__).parent / FILE)
     arguments = parser.parse_args()
     if arguments.task == "fit":
         fit(arguments)
-    elif arguments.task == "judge":
-        rows = read_rows(arguments.folder)
-        judge_rows(rows)
-        print_verdicts(rows)
     else:
         draw_all(arguments)
 

@@ -25,7 +25,7 @@ from tactile_loc.locate.result.hypothesis import Hypothesis
 
 Float64 = NDArray[np.float64]
 
-TIE_IOU = 5e-3  # a pose that loses less imprint IoU explains the touches as well, and is as probable
+TIE_IOU = 1e-4  # a pose that loses less imprint IoU explains the touches as well, and is as probable
 NEAR_GAPS = (0.02, 0.05)  # losses of imprint IoU within which poses are counted
 NO_GAP = 6.0  # stated if there is no other pose; -log of the share of an imprint that is left unexplained
 NO_STD_M = 0.02  # stated if the covariance is unknown

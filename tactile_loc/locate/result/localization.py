@@ -265,14 +265,17 @@ class Localization:
         It is certain if the outcome's probability that the first pose is within `tolerance` of the true pose is at
         least `confidence`. It is never certain if a touch has no depths, if the pose has no covariance, or if the prior
         makes it very improbable. The verdict is "poor fit" if the pose explains a touch worse than right poses do, or
-        if touches contradict each other, unless at least LEAST_AGREEING of them agree.
+        if touches contradict each other, unless at least LEAST_AGREEING of them agree. If probably none of the poses is
+        right, it is "not found", or "ambiguous" if the freedom that the touches leave is known.
         """
         if self.assessed is not None:
             return self.assessed.verdict
         if self._is_contradicted:
             return Verdict.POOR_FIT
         sure = self.depths_known and not self.unexpected and self.best.covariance is not None
-        return judge(self.outcome, sure=sure, poor=bool(self.poor_touches), least=self.confidence)
+        verdict = judge(self.outcome, sure=sure, poor=bool(self.poor_touches), least=self.confidence)
+        known = verdict is Verdict.NOT_FOUND and self.outcome is not None and str(self.freedom)
+        return Verdict.AMBIGUOUS if known else verdict
 
     @property
     def confidence(self) -> float:

@@ -72,7 +72,12 @@ def certain(localization):
 def test_a_result_is_judged_by_its_outcome_and_by_what_its_first_pose_leaves_unexplained(certain):
     assert certain.verdict is Verdict.CERTAIN
     assert replace(certain, outcome=OPEN).verdict is Verdict.AMBIGUOUS
-    assert replace(certain, outcome=MISSED).verdict is Verdict.NOT_FOUND
+    alone = replace(certain.evidence, probe_losses=np.ones(6))
+    assert not str(replace(certain, hypotheses=certain.hypotheses[:1], evidence=alone).freedom)
+    assert (
+        replace(certain, hypotheses=certain.hypotheses[:1], evidence=alone, outcome=MISSED).verdict is Verdict.NOT_FOUND
+    )
+    assert replace(certain, outcome=MISSED).verdict is Verdict.AMBIGUOUS  # other poses explain the touch as well
     assert replace(certain, outcome=None).verdict is Verdict.NOT_FOUND
     strict = replace(certain, config=certain.config.model_copy(update={"confidence": 0.99}))
     assert strict.verdict is Verdict.AMBIGUOUS
