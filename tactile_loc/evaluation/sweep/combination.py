@@ -155,7 +155,7 @@ def list_model_keys(localizer: Localizer) -> list[StageKey]:
     """Return the keys of a localizer's model, in the order of building; the last is that of the bank at full press."""
     scene, encoder = localizer.coarse_scene, localizer.encoder
     grid = make_grid_key(scene, localizer.sampler)
-    shapes = make_shapes_key(grid, scene)
+    shapes = make_shapes_key(grid, scene, localizer.grid_judge)
     training = make_encoder_key(shapes, encoder, localizer.sampler)
     trained = "" if training is None else training.digest
     bank = make_bank_key(shapes, encoder, localizer.scene.geometry.max_depth_m, trained)

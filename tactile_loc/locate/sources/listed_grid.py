@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.core.runtime.progress import NOTE, Progress, StageTimes, rank
-from tactile_loc.core.sensing.scene import Scene, View
+from tactile_loc.core.sensing.scene import DepthRenderer, Scene, View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import propose_together, split_modes
 from tactile_loc.locate.probability import temperature
@@ -56,9 +56,11 @@ def make_grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
     return StageKey("grid", STAGE_VERSIONS["grid"], inputs, scene.object.name)
 
 
-def make_shapes_key(grid: StageKey, scene: Scene) -> StageKey:
-    """Return the store key of a grid's contact shapes, drawn as in `scene`."""
+def make_shapes_key(grid: StageKey, scene: Scene, judge: DepthRenderer) -> StageKey:
+    """Return the store key of a grid's contact shapes, drawn as in `scene`, at the poses that `judge` keeps."""
     drawn: dict[str, Any] = {"renderer": scene.renderer.describe(), "drawing": scene.drawing, "shard": SHARD}
+    if judge.describe() != drawn["renderer"]:
+        drawn["judge"] = judge.describe()
     return StageKey("shapes", STAGE_VERSIONS["shapes"], {"grid": grid.digest, **drawn})
 
 
@@ -111,14 +113,21 @@ class ObjectPoseModel:
         return len(self.grid)
 
 
-def build_model(scene: Scene, sampler: GridSampler, store: StageStore, progress: Progress) -> ObjectPoseModel:
-    """Build the grid of `sampler` and its contact shapes in `scene`, or load them from the store."""
+def build_model(
+    scene: Scene, sampler: GridSampler, store: StageStore, progress: Progress, judge: DepthRenderer | None = None
+) -> ObjectPoseModel:
+    """Build the grid of `sampler` and its contact shapes in `scene`, or load them from the store.
+
+    The renderer `judge` decides which poses make enough contact, so the grid does not depend on the scene's renderer.
+    By default, it is the scene's.
+    """
+    judge = scene.renderer if judge is None else judge
     grid = make_grid_key(scene, sampler)
     artifact = store.build(grid, lambda work: _sample_grid(work, scene, sampler, progress))
     contact = PoseGrid(np.array(artifact.load_array("T_sensor_object")), PoseMetric(scene.object))
-    key = make_shapes_key(grid, scene)
-    percent = sampler.options.min_contact_percent
-    rendered = store.build(key, lambda work: _render_all(work, contact, scene, percent, progress))
+    key = make_shapes_key(grid, scene, judge)
+    judging, percent = replace(scene, renderer=judge), sampler.options.min_contact_percent
+    rendered = store.build(key, lambda work: _render_all(work, contact, (scene, judging), percent, progress))
     shapes = ShapeBank(rendered, scene.geometry.max_depth_m)
     return ObjectPoseModel(PoseGrid(contact.T_sensor_object[shapes.kept], contact.metric), shapes, key)
 
@@ -180,8 +189,15 @@ def _sample_grid(work: Workspace, scene: Scene, sampler: GridSampler, progress: 
         advance(1)
 
 
-def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, progress: Progress) -> None:
-    """Render the grid shard by shard; skip the shards that an interrupted build finished."""
+def _render_all(
+    work: Workspace, grid: PoseGrid, scenes: tuple[Scene, Scene], percent: float, progress: Progress
+) -> None:
+    """Render the grid shard by shard; skip the shards that an interrupted build finished.
+
+    The first scene draws the contact shapes, and the second one decides which poses make enough contact.
+    """
+    scene, judging = scenes
+    same = judging.renderer.describe() == scene.renderer.describe()
     kept: list[NDArray[Any]] = []
     sizes = []
     with progress.task("rendering contact shapes", len(grid)) as advance:
@@ -192,7 +208,8 @@ def _render_all(work: Workspace, grid: PoseGrid, scene: Scene, percent: float, p
             enough = work.load(f"{name}-enough", keep=False)
             if codes is None or enough is None:
                 depths = scene.render_contact_depths(poses, grid=True)
-                enough = mark_contact(depths, scene, percent)
+                judged = depths if same else judging.render_contact_depths(poses, grid=True)
+                enough = mark_contact(judged, judging, percent)
                 codes = _encode(depths[enough], scene.geometry.max_depth_m)
                 work.save_array(name, codes, packed=True)
                 work.save_array(f"{name}-enough", enough, keep=False)
@@ -279,7 +296,7 @@ class ListedSource(PoseSource):
     def model(self) -> ObjectPoseModel:
         """The object's grid and contact shapes, stored or built now."""
         setup = self.setup
-        return build_model(setup.coarse_scene, setup.sampler, setup.store, setup.progress)
+        return build_model(setup.coarse_scene, setup.sampler, setup.store, setup.progress, setup.judge)
 
     @cached_property
     def trained(self) -> str:

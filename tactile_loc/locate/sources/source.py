@@ -22,13 +22,14 @@ from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.progress import Progress, StageTimes
-from tactile_loc.core.sensing.scene import Scene, View
+from tactile_loc.core.sensing.scene import DepthRenderer, Scene, View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.config import RunConfig
+from tactile_loc.io.config import RunConfig, choose_component
 from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.sources.scoring import NewMatcher, Scores
 from tactile_loc.slots.encoder import Encoder
 from tactile_loc.slots.grid import GridSampler
+from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 
 STAGE_VERSIONS = {"grid": 5, "shapes": 3, "encoder": 3, "bank": 3}
@@ -57,6 +58,16 @@ class SourceSetup:
         """The scene with the few pixels of a listed grid's contact shapes, at full press."""
         coarse = self.scene.geometry.resize_long_side(self.config.shape_px)
         return replace(self.scene, geometry=coarse.press(coarse.max_depth_m))
+
+    @cached_property
+    def judge(self) -> DepthRenderer:
+        """The renderer that decides which poses of a listed grid make enough contact: always the default one.
+
+        So grids of different renderers have the same poses.
+        """
+        chosen = choose_component("renderer")
+        renderer: DepthRenderer = registry().create("renderer", chosen.name, chosen.options)
+        return renderer
 
     @cached_property
     def metric(self) -> PoseMetric:

@@ -90,6 +90,26 @@ def test_stored_shapes_decode_to_the_rendered_ones_and_are_cut_for_lighter_press
     assert np.array_equal(model.shapes.shape(3, press_m), cut[3])
 
 
+class Farther(RaycastRenderer):
+    """Draws everything 0.5 mm farther away, so there is less contact."""
+
+    def render(self, mesh, T_sensor_object, geometry):
+        return super().render(mesh, T_sensor_object, geometry) + np.float32(5e-4)
+
+
+def test_a_fixed_renderer_decides_which_poses_touch(make_pin_scene, sampler, own_store):
+    other, usual = make_pin_scene(Farther()), make_pin_scene()
+    alone, ours = (build(scene, sampler, own_store) for scene in (other, usual))
+    judged = build_model(other, sampler, own_store, Progress(), usual.renderer)
+    assert alone.size < ours.size
+    np.testing.assert_array_equal(judged.grid.T_sensor_object, ours.grid.T_sensor_object)
+    depths = np.concatenate(list(judged.shapes.shards()))
+    np.testing.assert_allclose(depths, other.render_contact_depths(judged.grid.T_sensor_object), atol=4e-8)
+    same = build_model(usual, sampler, own_store, Progress(), usual.renderer)
+    assert same.key == ours.key
+    assert len({model.key for model in (alone, judged, ours)}) == 3
+
+
 def test_a_barely_touching_pixel_still_touches_after_storage():
     max_depth_m = 0.002
     depths = np.array([[[0.0, np.nextafter(np.float32(max_depth_m), np.float32(0)), max_depth_m, 0.00123]]], np.float32)
