@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
@@ -30,16 +29,17 @@ from tactile_loc.store.workspace import Workspace
 
 Arrays = Sequence[NDArray[Any]]
 
-PROTOCOL_VERSION = 3  # increase if the same localizer gets other results
+PROTOCOL_VERSION = 4  # increase if the same localizer gets other results
 LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "random", "random-10")
 METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
+TIMED = (*STAGES, "choose")  # "choose": refining the other poses of chosen and reg-10, and choosing the best
 ASKED_EVERY = 10  # step through the surface points, for ADD-S
 MOST, FEW = 50, 10  # candidates of best-50, and of best-10, chosen, reg-10 and random-10
 NEAR = 32  # grid poses nearest by root mean square distance, among which the nearest by ADD is sought
 SHARD = 25  # touches located and saved at once
 MEASURED = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
-ARRAYS = (*MEASURED, "ambiguity", "contact_share", "refused")
+ARRAYS = (*MEASURED, "T_true", "ambiguity", "contact_share", "refused")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class TouchEvaluator:
     def measure(self, touch: Touch, rng: np.random.Generator) -> Arrays:
         """Locate a touch with a known pose and return the arrays MEASURED.
 
-        These are errors (L, M) and poses (L, 4, 4), metres, of LINES, seconds (S,) of STAGES, and POSTERIOR_METRICS.
+        These are errors (L, M) and poses (L, 4, 4), metres, of LINES, seconds (S,) of TIMED, and POSTERIOR_METRICS.
         `rng` draws the random poses. The time of refinement is the time for one pose. Raises TouchError without a true
         pose.
         """
@@ -61,20 +61,25 @@ class TouchEvaluator:
         top = posterior.top(MOST)
         top = top[np.isfinite(posterior.log_p[top])]
         guesses = rng.integers(len(posterior.grid), size=FEW)
-        refined, times.seconds["refine"] = self._refine(touch, posterior, top[:FEW])
-        chosen = int(self.localizer.scene.imprint_ious(refined, touch).argmax())
+        refined, chosen = self._refine(touch, posterior, top[:FEW], times)
         poses = self._choose_lines(posterior.grid, truth, top, guesses, refined, chosen)
-        seconds = np.array([times.seconds[stage] for stage in STAGES])
+        seconds = np.array([times.seconds[stage] for stage in TIMED])
         errors_m, metrics = self._measure_errors(poses, truth), measure_posterior(posterior, truth, rng)
         return errors_m, poses, seconds, metrics
 
-    def _refine(self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64]) -> tuple[Poses, float]:
-        """Refine the grid poses `top` (K,); return them (K, 4, 4), metres, and the seconds for the first pose."""
-        start = time.perf_counter()
-        (first,) = self.localizer.refine(touch, posterior, [int(top[0])])
-        seconds = time.perf_counter() - start
-        others = self.localizer.refine(touch, posterior, [int(index) for index in top[1:]])
-        return np.stack([pose.T_sensor_object for pose in (first, *others)]), seconds
+    def _refine(
+        self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64], times: StageTimes
+    ) -> tuple[Poses, int]:
+        """Refine the grid poses `top` (K,); return them (K, 4, 4), metres, and the number of the best one.
+
+        Add the time of the first pose to `times` as "refine", and that of the others and of the choice as "choose".
+        """
+        with times.stage("refine"):
+            (first,) = self.localizer.refine(touch, posterior, [int(top[0])])
+        with times.stage("choose"):
+            others = self.localizer.refine(touch, posterior, [int(index) for index in top[1:]])
+            refined = np.stack([pose.T_sensor_object for pose in (first, *others)])
+            return refined, int(self.localizer.scene.imprint_ious(refined, touch).argmax())
 
     def _choose_lines(
         self,
@@ -125,9 +130,10 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Exa
     """Locate the first `count` of the simulated touches and measure all LINES.
 
     The table has a row for each touch, with the errors of LINES in METRICS, the columns STAGE_s (the durations of
-    STAGES, with one pose refined), and POSTERIOR_METRICS. `T_sensor_object` (T, L, 4, 4), metres, is each line's final
-    pose, and `ambiguity` the ratio of `measure_ambiguity`. `contact_share`, 0 to 1, is the share of the observed pixels
-    in contact. `refused` is the number of presses before each touch that made no touch and do not count.
+    TIMED), and POSTERIOR_METRICS. `T_sensor_object` (T, L, 4, 4), metres, is each line's final pose, `T_true` (T, 4, 4)
+    the true pose, and `ambiguity` the ratio of `measure_ambiguity`. `contact_share`, 0 to 1, is the share of the
+    observed pixels in contact. `refused` is the number of presses before each touch that made no touch and do not
+    count.
 
     The result is kept in the localizer's store, in shards of SHARD touches. An interrupted evaluation resumes with the
     same errors. All encoders get the same touches and the same random poses. Raises TactileLocError if a touch cannot
@@ -139,7 +145,7 @@ def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> Exa
     errors_m, seconds, metrics = (arrays.pop(name) for name in ("errors_m", "seconds", "posterior_metrics"))
     columns = {
         **name_errors(errors_m, LINES, METRICS),
-        **{f"{stage}_s": seconds[:, k] for k, stage in enumerate(STAGES)},
+        **{f"{stage}_s": seconds[:, k] for k, stage in enumerate(TIMED)},
         **{name: metrics[:, k] for k, name in enumerate(POSTERIOR_METRICS)},
         **arrays,
     }
@@ -183,6 +189,7 @@ def _localise(evaluator: TouchEvaluator, source: SimulatedTouches, numbers: Sequ
             advance(1)
     return [
         *map(np.stack, zip(*rows, strict=True)),
+        np.stack([require_true_pose(touch) for touch in touches]),
         ambiguity,
         np.array([touch.contact_share for touch in touches]),
         np.array(refused),

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import ConfigError, TouchError, name_source
 from tactile_loc.core.sensing.noise import make_noise
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.io.config import SlotConfig
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.simulate.touch_simulation import draw_touches
+from tactile_loc.slots.registry import registry
 
 log = logging.getLogger(__name__)
 
@@ -28,11 +31,13 @@ class SimulatedTouches:
     Touch i of a seed is always the same, with any number of touches and any encoder. With `images`, the sensor reads
     each touch from a simulated image made with the lamps of its calibration. The sensor must be calibrated on simulated
     images, and the only noise is the camera's. Raises ConfigError for `images` with any noise except "none".
+    `renderer` draws the touches; by default, the localizer's own does.
     """
 
     noise: str = "none"
     seed: int = 0
     images: bool = False
+    renderer: SlotConfig | None = None
 
     def __post_init__(self) -> None:
         if self.images and self.noise != "none":
@@ -83,14 +88,24 @@ class SimulatedTouches:
     def describe(self, localizer: Localizer) -> dict[str, Any]:
         """Return all inputs of a localizer's touches, as JSON values."""
         described: dict[str, Any] = {"noise": make_noise(self.noise).describe(), "seed": self.seed}
-        return described | ({"images": localizer.sensor.describe()} if self.images else {})
+        described |= {"images": localizer.sensor.describe()} if self.images else {}
+        return described | (
+            {} if self.renderer is None else {"renderer": self._make_scene(localizer).renderer.describe()}
+        )
+
+    def _make_scene(self, localizer: Localizer) -> Scene:
+        """Return the localizer's scene with the renderer that draws the touches."""
+        if self.renderer is None:
+            return localizer.scene
+        renderer = registry().create("renderer", self.renderer.name, self.renderer.options)
+        return dataclasses.replace(localizer.scene, renderer=renderer)
 
     def _draw_once(self, localizer: Localizer, number: int, draw: int) -> tuple[Touch, int]:
         """Return the touch of one draw, and the number of presses refused before it."""
         sequence = self.seed_touch(number, 0)
         seed = int((sequence.spawn(draw)[-1] if draw else sequence).generate_state(1, np.uint64)[0])
         rng, noise = np.random.default_rng(seed), make_noise(self.noise)
-        (touch,), refused = draw_touches(localizer.sampler, localizer.scene, 1, rng, noise=noise)
+        (touch,), refused = draw_touches(localizer.sampler, self._make_scene(localizer), 1, rng, noise=noise)
         return dataclasses.replace(touch, name=f"touch-{number:04d}"), refused
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tactile_loc.evaluation.sweep.combination import IDS, name_time
 from tactile_loc.evaluation.sweep.sweep import IDENTITY
 from tactile_loc.io.streams.records import read_document
 from tactile_loc.io.toml import format_toml
@@ -19,12 +20,14 @@ SHOWN_FACTORS = ("object", "encoder", "refiner")  # if no factor varies
 MEDIAN = "_median_mm"
 LINES = ("chosen", "reg-1", "best-1", "reg-10", "best-10", "best-50", "closest")  # in the order of interest
 TABLE_LINES = ("best-1", "reg-1", "chosen", "closest")
-OTHERS = ("coverage_80", "nll_nats", "total_ms", "model_s", "grid_poses")
+OTHERS = ("coverage_80", "nll_nats", "reg-1_ms", "chosen_ms", "model_s", "grid_poses", *IDS)
+OF_LINE = "line"  # the choice of the time that belongs to the chosen line
 TIMES = {
-    "total_ms": "time per touch, one pose refined (ms)",
+    OF_LINE: "time per touch of this line (ms)",
     "encode_ms": "encode (ms)",
     "match_ms": "match (ms)",
-    "refine_ms": "refine (ms)",
+    "refine_ms": "refine one pose (ms)",
+    "choose_ms": "refine nine others and choose (ms)",
     "model_s": "building the model (s)",
 }
 UNITS = {"_mm": "mm", "_ms": "ms", "_s": "s", "_nats": "nats", "_share": "share"}
@@ -45,7 +48,8 @@ def make_sweep_page(path: Path) -> Page:
     good = [row for row in rows if not row.get("error")]
     factors = find_varying(rows) or [factor for factor in SHOWN_FACTORS if factor in rows[0]]
     kinds = find_components(rows) if lines else []
-    times = {column: name for column, name in TIMES.items() if column in rows[0]}
+    line_times = {line: name_time(line) for line in lines if name_time(line) in rows[0]}
+    times = {column: name for column, name in TIMES.items() if column in rows[0] or (column == OF_LINE and line_times)}
     by = find_varying(rows) or ["object"]
     choices = {"times": times, "factors": by, "first": "refiner" if "refiner" in by else by[0]}
     failures = {"factors": factors, "rows": [[*(row[f] or "" for f in factors), row["error"]] for row in failed]}
@@ -58,10 +62,10 @@ def make_sweep_page(path: Path) -> Page:
         *([Section("failed", "Failed combinations", failures)] if failed else []),
         Section("made", "Settings", _describe_settings(document, rows)),
     ]
-    others = [column for column in dict.fromkeys([*TIMES, *OTHERS]) if column in rows[0]]
+    others = [column for column in dict.fromkeys([*TIMES, *line_times.values(), *OTHERS]) if column in rows[0]]
     columns = [*factors, *(line + MEDIAN for line in lines), *others]
     drawn = [{column: row.get(column) for column in columns} for row in good]
-    data = {"factors": factors, "components": kinds, "rows": drawn}
+    data = {"factors": factors, "components": kinds, "rows": drawn, "line_times": line_times}
     title = f"Sweep: {len(rows)} combinations"
     return Page("sweep", title, _write_about(document, rows), sections, data, ["errors.js", "sweep.js"])
 

@@ -124,7 +124,7 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
         _draw_points(left, found, front, numbers, style)
         left.set_title(f"noise: {noise}", size=11)
         left.set_ylabel(f"median error of {line} (mm)")
-        left.set_xlabel("median time per touch, one pose refined (ms)")
+        left.set_xlabel(f"median time of {line} per touch (ms)")
         _write_list(right, found, front, numbers)
     figure.legend(handles=style.make_handles(), loc="outside lower left", ncols=6, frameon=False, fontsize=9)
     return figure
@@ -133,6 +133,8 @@ def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
 def draw_effects(sweep: Sweep, line: str) -> Figure | None:
     """Draw a panel for each slot that varies: the factor by which each choice changes the error.
 
+    The titles of slots state whether all else is equal, or what else changes by its nature.
+
     Each dot is one setting of all else, and the line is the geometric mean of the dots. Returns None if no slot varies,
     or if every setting has a failed choice.
     """
@@ -140,11 +142,13 @@ def draw_effects(sweep: Sweep, line: str) -> Figure | None:
     if not found:
         return None
     heights = [0.62 + 0.42 * len(ratios) for ratios in found.values()]
-    title = "Effect of each component, all else equal (left is better)"
+    changed = sweep.find_changed()
+    title = "Effect of each component (left is better)"
     figure = make_figure(9.5, sum(heights) + 1.4, constrained=True, title=title)
     panels: NDArray[Any] = figure.subplots(len(found), 1, squeeze=False, sharex=True, height_ratios=heights)
     for axes, (slot, ratios) in zip(panels.flat, found.items(), strict=True):
-        _draw_effect(axes, slot, ratios)
+        also = f"; also changes the {' and the '.join(changed[slot])}" if slot in changed else ", all else equal"
+        _draw_effect(axes, f"{slot}{also}", ratios)
     _scale_ratios(panels[-1, 0], np.concatenate([r for ratios in found.values() for r in ratios.values()]))
     panels[-1, 0].set_xlabel(f"error of {line} with this choice / geometric mean over the slot's choices")
     return figure
@@ -235,7 +239,7 @@ def _locate_points(axes: Axes, found: Points) -> NDArray[np.float64]:
     return share * [72 * 0.8 * PANEL, 72 * (height - 1.6)]
 
 
-def _draw_effect(axes: Axes, slot: str, ratios: Mapping[str, NDArray[np.float64]]) -> None:
+def _draw_effect(axes: Axes, title: str, ratios: Mapping[str, NDArray[np.float64]]) -> None:
     """Draw the choices of a slot from top to bottom, on an axis of natural logarithms of ratios."""
     axes.axvline(0, color=FAINT, lw=1.2, zorder=1)
     for place, (values, colour) in enumerate(zip(ratios.values(), COLOURS * len(ratios), strict=False)):
@@ -246,7 +250,7 @@ def _draw_effect(axes: Axes, slot: str, ratios: Mapping[str, NDArray[np.float64]
         axes.text(1.01, place, f"x {np.exp(mean):.2f}", transform=axes.get_yaxis_transform(), size=9, va="center")
     axes.set_yticks(range(len(ratios)), list(ratios), size=9)
     axes.set_ylim(len(ratios) - 0.45, -0.55)
-    axes.set_title(slot, size=11, loc="left", weight="bold")
+    axes.set_title(title, size=11, loc="left", weight="bold")
     axes.grid(axis="x", color="#edf2f7", lw=0.8)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)

@@ -8,7 +8,7 @@ from message_helpers import naming
 from report_helpers import make_sweep
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, require_line
+from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, format_summary, require_line
 from tactile_loc.reports.sweep_figures import (
     DIGIT,
     LINE,
@@ -33,7 +33,7 @@ VALUES = {
 
 def measure(one):
     i, j = one.place[6], one.place[4]
-    return {"chosen_median_mm": 3.0 / (1 + i) + j, "total_ms": 2.0 + 5 * i + j}
+    return {"chosen_median_mm": 3.0 / (1 + i) + j, "chosen_ms": 2.0 + 5 * i + j}
 
 
 def texts(axes) -> list[str]:
@@ -55,7 +55,10 @@ def test_every_combination_has_a_numbered_point_and_a_name():
 
 def test_each_varying_slot_has_a_panel():
     figure = draw_effects(make_sweep(VALUES, measure), "chosen")
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["encoder", "refiner"]
+    assert [axes.get_title(loc="left") for axes in figure.axes] == [
+        "encoder, all else equal",
+        "refiner, all else equal",
+    ]
     assert [t.get_text() for t in figure.axes[1].get_yticklabels()] == ["none", "icp", "filterreg"]
     refiner = [float(t.removeprefix("x ")) for t in texts(figure.axes[1])]
     assert refiner == sorted(refiner, reverse=True)
@@ -63,7 +66,7 @@ def test_each_varying_slot_has_a_panel():
 
 
 def test_a_sweep_without_varying_results_has_no_figures():
-    single = make_sweep({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0, "total_ms": 1.0})
+    single = make_sweep({"object": "pin"}, lambda one: {"chosen_median_mm": 1.0, "chosen_ms": 1.0})
     assert draw_effects(single, "chosen") is None
     failed = make_sweep({"object": "pin", "refiner": ["none", "icp"]}, lambda one: "bad")
     assert draw_effects(failed, "chosen") is None
@@ -104,7 +107,7 @@ def product(one) -> dict[str, float]:
     factor = {"pin": 1, "head": 9}[one.object] * {12: 2, 20: 1}[config.encoder.options["cells"]]
     return {
         "chosen_median_mm": BASE_MM[config.refiner.name] * factor * {"none": 1, "mild": 3}[config.touch.noise],
-        "total_ms": {"pin": 10.0, "head": 40.0}[one.object] * (1 + config.seed),
+        "chosen_ms": {"pin": 10.0, "head": 40.0}[one.object] * (1 + config.seed),
     }
 
 
@@ -164,3 +167,25 @@ def test_only_lines_of_the_protocol_are_accepted():
     assert require_line("reg-1") == "reg-1"
     with pytest.raises(ConfigError, match=naming("'best1'", "'best-1'")):
         require_line("best1")
+
+
+@pytest.mark.parametrize(("line", "time_ms"), [("best-1", 1.0), ("reg-1", 2.0), ("chosen", 8.0), ("reg-10", 8.0)])
+def test_error_and_time_are_of_the_same_line(line, time_ms):
+    """`chosen` refines ten poses, so its error belongs to the time of ten."""
+    times = {"best-1_ms": 1.0, "reg-1_ms": 2.0, "chosen_ms": 8.0}
+    sweep = make_sweep({"object": "pin"}, lambda one: {f"{line}_median_mm": 3.0, **times})
+    (point,) = list_points(sweep, line, "strong")
+    assert (point.error_mm, point.time_ms) == pytest.approx((3.0, time_ms))
+    assert draw_error_time(sweep, line).axes[0].get_xlabel() == f"median time of {line} per touch (ms)"
+
+
+def test_the_titles_of_effects_state_what_else_changes():
+    def measure_grid(one):
+        spacing = one.config.grid.options["spacing_mm"]
+        return {"chosen_median_mm": spacing, "grid_id": str(spacing), "touches_id": "same"}
+
+    sweep = make_sweep({"object": "pin", "refiner": ["none", "icp"], "option": ["grid.spacing_mm=4,6"]}, measure_grid)
+    assert sweep.find_changed() == {"grid": ("grid",)}
+    titles = [axes.get_title(loc="left") for axes in draw_effects(sweep, "chosen").axes]
+    assert titles == ["grid; also changes the grid", "refiner, all else equal"]
+    assert "`grid` also changes the grid" in format_summary(sweep, "chosen")

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.noise import make_noise
@@ -22,21 +23,28 @@ from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, evaluate, m
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.table import ExampleTable
-from tactile_loc.io.config import ObjectConfig, RunConfig, SlotConfig, TouchConfig
+from tactile_loc.io.config import EXACT, ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.sources.listed_grid import make_bank_key, make_encoder_key, make_grid_key, make_shapes_key
 from tactile_loc.slots.compatibility import require_compatible
 from tactile_loc.slots.component import Component
 from tactile_loc.slots.registry import SLOTS, registry
-from tactile_loc.store.keys import StageKey, hash_shortly, write_canonical_json
+from tactile_loc.store.keys import StageKey, hash_arrays, hash_shortly, write_canonical_json
 from tactile_loc.store.store import StageStore
 
-ROW_VERSION = 1  # increase it if the same combination gets other results
+ROW_VERSION = 2  # increase it if the same combination gets other results
 STATISTICS = ("median_mm", "mean_mm", "median_share")
 ERRORS = tuple(f"{line}_{what}" for line in LINES for what in STATISTICS)
 COVERAGES = tuple(f"coverage_{100 * level:.0f}" for level in LEVELS)
-TIMES = (*(f"{stage}_ms" for stage in protocol.STAGES), "total_ms")
+LINE_STAGES = {  # the stages that the pose of a line needs; those before refinement for all other lines
+    "reg-1": protocol.STAGES, "chosen": protocol.TIMED, "reg-10": protocol.TIMED
+}  # fmt: skip
+SEARCHED = tuple(stage for stage in protocol.STAGES if stage != "refine")
+TIMED_LINES = ("best-1", "reg-1", "chosen")
+TIMES = (*(f"{stage}_ms" for stage in protocol.TIMED), *(f"{line}_ms" for line in TIMED_LINES))
+IDS = ("grid_id", "touches_id")
+HASHED_DECIMALS = 6  # of poses, metres
 STAGES = ("grid", "shapes", "encoder", "bank", "temperature", "evaluation")
 
 
@@ -99,6 +107,7 @@ def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, compon
     return hash_shortly(
         {
             "version": ROW_VERSION,
+            "touches": EXACT.model_dump(mode="json"),
             "tactile-loc": version("tactile-loc"),
             "protocol": PROTOCOL_VERSION,
             "count": count,
@@ -151,6 +160,33 @@ def find_missing_stages(
     return {stage: sum(name == stage for name, _ in missing) for stage in STAGES}
 
 
+def choose_touches(config: RunConfig) -> SimulatedTouches:
+    """Return the touches of a combination. An exact renderer draws them, whatever renderer the combination has."""
+    return SimulatedTouches(config.touch.noise, config.seed, renderer=EXACT)
+
+
+def identify(localizer: Localizer, touches: SimulatedTouches, table: ExampleTable) -> dict[str, str]:
+    """Return IDS: hashes of the grid's poses, and of the true poses of an evaluation's touches with their sensor.
+
+    Rows with the same `grid_id` have the same grid, random poses and mean error of a random pose.
+    """
+    pressed = {"sensor": localizer.scene.geometry.describe(), **touches.describe(localizer)}
+    grid = {"poses": _hash_poses(localizer.model.grid.T_sensor_object), "seed": touches.seed}
+    return dict(zip(IDS, map(hash_shortly, (grid, {"poses": _hash_poses(table["T_true"]), **pressed})), strict=True))
+
+
+def _hash_poses(T: Poses) -> str:
+    """Return a hash of poses (N, 4, 4), metres, rounded so that it is the same on every machine."""
+    return hash_arrays(T=np.round(T, HASHED_DECIMALS) + 0.0)  # -0.0 becomes 0.0
+
+
+def name_time(line: str) -> str:
+    """Return the column of the time that the pose of a line needs."""
+    stages = LINE_STAGES.get(line, SEARCHED)
+    timed = next(name for name in TIMED_LINES if LINE_STAGES.get(name, SEARCHED) == stages)
+    return f"{timed}_ms"
+
+
 def list_model_keys(localizer: Localizer) -> list[StageKey]:
     """Return the keys of a localizer's model, in the order of building; the last is that of the bank at full press."""
     scene, encoder = localizer.coarse_scene, localizer.encoder
@@ -173,7 +209,7 @@ def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]
         fitted = has(localizer.listed.temperature_key()) is not None
     if not fitted:
         missing.add(("temperature", bank.digest))
-    touches = SimulatedTouches(one.config.touch.noise, one.config.seed)
+    touches = choose_touches(one.config)
     if not (whole and fitted and has(make_evaluation_key(localizer, one.count, touches)) is not None):
         missing.add(("evaluation", one.key))
     return missing
@@ -215,8 +251,9 @@ class CombinationJob:
         localizer.source.describe_scores()  # builds the grid and its shapes, and trains the encoder
         _ = localizer.source.temperature_scaling
         model_s = time.perf_counter() - start_s if store.built else 0.0
-        evaluation = evaluate(localizer, self.count, SimulatedTouches(config.touch.noise, config.seed, images=False))
-        return {**summarise(evaluation), "model_s": round(model_s, 3)}
+        touches = choose_touches(config)
+        evaluation = evaluate(localizer, self.count, touches)
+        return {**summarise(evaluation), **identify(localizer, touches, evaluation), "model_s": round(model_s, 3)}
 
 
 def summarise(table: ExampleTable) -> dict[str, float | None]:
@@ -230,7 +267,10 @@ def summarise(table: ExampleTable) -> dict[str, float | None]:
         errors = (1e3 * row["median_m"], 1e3 * row["mean_m"], row["median_normalised"])
         values |= {f"{row['line']}_{what}": error for what, error in zip(STATISTICS, errors, strict=True)}
     values |= dict(zip(COVERAGES, measure_coverage(table), strict=True)) | {"nll_nats": table["nll_nats"].mean()}
-    seconds = [table[f"{stage}_s"] for stage in protocol.STAGES]
-    values |= {name: 1e3 * np.median(s) for name, s in zip(TIMES, [*seconds, np.sum(seconds, axis=0)], strict=True)}
+    seconds = {stage: table[f"{stage}_s"] for stage in protocol.TIMED}
+    values |= {f"{stage}_ms": 1e3 * np.median(s) for stage, s in seconds.items()}
+    for line in TIMED_LINES:
+        needed = [seconds[stage] for stage in LINE_STAGES.get(line, SEARCHED)]
+        values[f"{line}_ms"] = 1e3 * float(np.median(np.sum(needed, axis=0)))
     rounded = {name: float(f"{value:.6g}") if np.isfinite(value) else None for name, value in values.items()}
     return {"grid_poses": int(table["grid_poses"][0]), **rounded}

@@ -24,10 +24,12 @@ from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
 from tactile_loc.evaluation.sweep.combination import (
     COVERAGES,
     ERRORS,
+    IDS,
     TIMES,
     Combination,
     CombinationJob,
     combine,
+    name_time,
     order_for_running,
 )
 from tactile_loc.evaluation.sweep.plan import Plan, find_varied_options, find_varying_slots, name_choices
@@ -57,6 +59,8 @@ NAMED = ("encoder", "refiner")  # the slots that labels name if no slot varies
 
 class ChoiceMedian(NamedTuple):
     """The median error, mm, and time per touch, ms, of one object, noise and choice of components, as means over seeds.
+
+    Error and time are of the same line of the protocol.
 
     Both are NaN if a combination failed. `choices` has the index of each slot's choice in the plan. `label` names the
     choices of slots that vary.
@@ -92,7 +96,7 @@ class Sweep:
         labels, named = name_choices(self.plan), find_varying_slots(self.plan) or NAMED
         found: dict[tuple[Any, ...], list[list[float]]] = {}
         for one, row in zip(self.combinations, self.rows, strict=True):
-            values = (row[f"{line}_median_mm"], row["total_ms"])
+            values = (row[f"{line}_median_mm"], row[name_time(line)])
             key = one.object, one.config.touch.noise, one.place[1:-2]
             found.setdefault(key, []).append([math.nan if value is None else value for value in values])
         return [
@@ -105,6 +109,24 @@ class Sweep:
             )
             for (name, noise, choices), values in found.items()
         ]
+
+    def find_changed(self) -> dict[str, tuple[str, ...]]:
+        """Return the slots that by their nature change more than the method: each with "grid", "touches", or both.
+
+        Rows that differ in such a slot are not equal in all else.
+        """
+        found = {}
+        for slot in find_varying_slots(self.plan):
+            place = 1 + SLOTS.index(slot)
+            groups: dict[Any, list[Row]] = {}
+            for one, row in zip(self.combinations, self.rows, strict=True):
+                groups.setdefault((*one.place[:place], *one.place[place + 1 :]), []).append(row)
+            changed = (
+                name for name in IDS if any(len({r[name] for r in rows} - {None}) > 1 for rows in groups.values())
+            )
+            if names := tuple(name.removesuffix("_id") for name in changed):
+                found[slot] = names
+        return found
 
     @property
     def failed(self) -> int:
@@ -141,7 +163,7 @@ def run_sweep(plan: Plan, out: Path, store: Path, workers: Workers, progress: Pr
 
 def list_columns(plan: Plan) -> list[str]:
     """Return the names of a plan's columns, in their order."""
-    results = ("grid_poses", *ERRORS, *COVERAGES, "nll_nats", "error", "key", *MOMENTARY)
+    results = ("grid_poses", *IDS, *ERRORS, *COVERAGES, "nll_nats", "error", "key", *MOMENTARY)
     return [*IDENTITY, *list_varied_columns(plan), *results]
 
 
@@ -242,12 +264,19 @@ def format_summary(sweep: Sweep, line: str) -> str:
     same = [f"{slot} {choices[0].name}" for slot, choices in plan.slots.items() if len(choices) == 1]
     if same:
         parts.append(f"Common to all rows: {', '.join(same)}.")
+    parts += [_state_changes(sweep.find_changed())] if sweep.find_changed() else []
     medians = sweep.compute_medians(line)
     for noise in plan.noises:
         parts += [f"## Noise: {noise}", tabulate_medians(medians, noise, _mark_best)]
     if sweep.failed:
         parts += [f"## Failed: {sweep.failed} of {len(sweep.combinations)}", "\n".join(_list_failures(sweep))]
     return format_document(f"Sweep: {line}", parts)
+
+
+def _state_changes(changed: Mapping[str, Sequence[str]]) -> str:
+    """State which slots change the grid or the touches."""
+    said = [f"`{slot}` also changes the {' and the '.join(names)}" for slot, names in changed.items()]
+    return f"Not all else is equal: {'; '.join(said)}. The columns {' and '.join(IDS)} show which rows share them."
 
 
 def tabulate_medians(medians: Sequence[ChoiceMedian], noise: str, cell: Callable[[float, float], str]) -> Table:

@@ -15,7 +15,8 @@
 
   // ---- error against time
   draw("scatter", (c) => {
-    const by = value("colour"), time = value("time"), error = column(), unit = time.endsWith("_s") ? "s" : "ms";
+    const asked = value("time"), time = asked === "line" ? data.line_times[value("line")] : asked;
+    const by = value("colour"), error = column(), unit = time.endsWith("_s") ? "s" : "ms";
     const traces = distinct(data.rows, by).map((one, k) => {
       const rows = shown.filter((row) => row[by] === one && row[error] !== null && row[time] !== null);
       return {

@@ -28,7 +28,7 @@ def rows(made_up):
     def measure(one):
         if one.object == "head" and one.config.refiner.name == "none":
             return 'ValueError: "odd", and\nlong'
-        return {"chosen_median_mm": 0.1 + 1 / 3, "nll_nats": 1e-17, "total_ms": 3.0}
+        return {"chosen_median_mm": 0.1 + 1 / 3, "nll_nats": 1e-17, "chosen_ms": 3.0}
 
     sweep = made_up(VALUES, measure)
     assert list(sweep.rows[0]) == list_columns(sweep.plan)
@@ -38,13 +38,14 @@ def rows(made_up):
 def test_columns_begin_with_the_inputs_and_end_with_times_and_builds(rows):
     columns = list(rows[0])
     assert columns[:11] == ["object", *SLOTS, "noise", "seed", "count"]
-    assert columns[11:16] == [*VARIED, "grid_poses"]
-    assert columns[16 : 16 + 3 * len(LINES)] == [
+    assert columns[11:18] == [*VARIED, "grid_poses", "grid_id", "touches_id"]
+    assert columns[18 : 18 + 3 * len(LINES)] == [
         f"{line}_{what}" for line in LINES for what in ("median_mm", "mean_mm", "median_share")
     ]
-    assert columns[-13:-7] == ["coverage_50", "coverage_80", "coverage_95", "nll_nats", "error", "key"]
-    assert tuple(columns[-7:]) == MOMENTARY
-    assert MOMENTARY == ("encode_ms", "match_ms", "fuse_ms", "refine_ms", "total_ms", "model_s", "built")
+    times = ("encode_ms", "match_ms", "fuse_ms", "refine_ms", "choose_ms", "best-1_ms", "reg-1_ms", "chosen_ms")
+    assert (*times, "model_s", "built") == MOMENTARY
+    assert tuple(columns[-10:]) == MOMENTARY
+    assert columns[-16:-10] == ["coverage_50", "coverage_80", "coverage_95", "nll_nats", "error", "key"]
 
 
 def test_rows_follow_the_order_of_the_plan_and_omit_inapplicable_values(rows):
@@ -67,7 +68,7 @@ def test_parquet_is_read_back_with_its_types(rows, tmp_path):
     table = parquet.read_table(path)
     assert table.to_pylist() == rows
     types = {field.name: str(field.type) for field in table.schema}
-    assert (types["seed"], types["grid_poses"], types["total_ms"]) == ("int64", "int64", "double")
+    assert (types["seed"], types["grid_poses"], types["chosen_ms"]) == ("int64", "int64", "double")
     assert [types[name] for name in VARIED] == ["double", "int64", "string", "bool"]
     assert json.loads(table.to_pylist()[0]["built"])[0].startswith("grid ")
 

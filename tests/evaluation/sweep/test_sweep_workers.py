@@ -19,7 +19,7 @@ from message_helpers import naming
 from tactile_loc.core.runtime.errors import UnknownPluginError
 from tactile_loc.evaluation.jobs import JOURNALS, FinishedJobs, do_job
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
-from tactile_loc.evaluation.protocol import LINES, STAGES
+from tactile_loc.evaluation.protocol import LINES, TIMED
 from tactile_loc.evaluation.sweep.combination import COVERAGES, ERRORS, TIMES, CombinationJob, combine, summarise
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import Sweep, run_sweep
@@ -212,8 +212,8 @@ def make_table(**columns: float) -> ExampleTable:
     """Three touches: the errors of line l are 1, 2 and 4 times l + 1 mm; random poses err by 20 mm on average."""
     errors_m = {f"{line} add_m": 1e-3 * (k + 1) * np.array([1, 2, 4]) for k, line in enumerate(LINES)}
     errors_m["random add_m"] = np.array([10e-3, 20e-3, 30e-3])
-    seconds = np.array([[1, 2, 3, 4], [1, 2, 3, 40], [9, 2, 3, 5]]) * 1e-3
-    times = {f"{stage}_s": seconds[:, k] for k, stage in enumerate(STAGES)}
+    seconds = np.array([[1, 2, 3, 4, 20], [1, 2, 3, 40, 20], [9, 2, 3, 5, 30]]) * 1e-3
+    times = {f"{stage}_s": seconds[:, k] for k, stage in enumerate(TIMED)}
     labels = {"object": "pin", "encoder": "pixel", "touches": 1, "grid_poses": 7}
     return ExampleTable.make({**errors_m, **times}, **labels, **{**dict.fromkeys(POSTERIOR_METRICS, 0.4), **columns})
 
@@ -226,8 +226,10 @@ def test_a_summary_has_errors_in_mm_and_shares_and_times_in_ms():
     assert found["reg-1_mean_mm"] == pytest.approx(7 / 3 * line, rel=1e-5)
     assert found["reg-1_median_share"] == pytest.approx(2 * line / 20)
     assert (found["random_median_mm"], found["random_mean_mm"]) == (20, 20)
-    assert [found[f"{stage}_ms"] for stage in STAGES] == [1, 2, 3, 5]
-    assert found["total_ms"] == 19  # the median of 10, 46 and 19, not the sum of medians
+    assert [found[f"{stage}_ms"] for stage in TIMED] == [1, 2, 3, 5, 20]
+    assert found["best-1_ms"] == 6
+    assert found["reg-1_ms"] == 19  # the median of 10, 46 and 19, not the sum of medians
+    assert found["chosen_ms"] == 49  # the median of 30, 66 and 49
     assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [1, 1, 1]
     assert (found["nll_nats"], found["grid_poses"]) == (0.4, 7)
     found = summarise(make_table(nll_nats=np.inf, credible_level=0.9))
