@@ -73,7 +73,7 @@ def alternate(
     return [replace(pose, iterations=int(count)) for pose, count in zip(poses, steps, strict=True)]
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Combined:
     """K combined poses, and how well they explain N touches.
 
