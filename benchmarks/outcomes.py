@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The probabilities of outcomes: draw examples, fit the model that is shipped, and judge it on other parts.
+"""The probabilities of outcomes: draw examples, and fit the model that is shipped.
 
 `draw` presses parts from any direction and locates each example with one, two, three and five touches. Parts are drawn
 by ray casting, which the localizer does not use. Sensors, gels and noises alternate. Some examples have a fault: the
@@ -8,9 +8,10 @@ touched part differs from its mesh (`scan`), the press is stated wrongly (`press
 the surface of an elastic gel; otherwise the project's own solver does. Each part's examples are one file in OUT, and
 finished parts are skipped.
 
-`fit` fits boosted trees to the examples in a folder, compares them with a forest, logistic regression and a network on
-parts that are left out, and writes the shipped model; it needs scikit-learn. Press and sensor faults are rarer at work
-than in the examples, so they have less weight: see FAULTY_WEIGHT. `verdicts.py` judges the model on other parts.
+`fit` draws the examples that are not in a folder yet. It fits boosted trees to all of them, compares these with a
+forest, logistic regression and a network on parts that are left out, and writes the shipped model. It needs
+scikit-learn, and about an hour on one core. Press and sensor faults are rarer at work than in the examples, so they
+have less weight: see FAULTY_WEIGHT. `verdicts.py` judges the model on other parts.
 
 An example is right if the pose error of its first pose is at most the tolerance.
 """
@@ -71,6 +72,7 @@ SCAN_M = (5e-5, 1.5e-4)  # root mean square deviation of a part from its mesh
 PRESS = (0.6, 1.5)  # factor of a wrong press
 FAULTY, FAULTY_WEIGHT = ("press", "sensor"), 0.3  # so that 7 % of the examples have a faulty press or sensor pose
 FOLDS = 5  # of the comparison
+NUMBERS = [0, 1, 2, 9, 3, 4, 5, 6]  # of the generated parts of each family
 QUANTILE = 0.998  # of the share that right poses leave unexplained; beyond it, a fit is poor
 SCORES = 2000  # of examples for conformal sets
 NEARLY = 0.01  # of the diagonal of a part
@@ -418,7 +420,7 @@ def main() -> None:
     draw = tasks.add_parser("draw")
     draw.add_argument("out", type=Path)
     draw.add_argument("meshes", nargs="*", help="FILE[:UNITS]; default: generated parts")
-    draw.add_argument("--numbers", nargs="+", type=int, default=[0, 1, 2, 9], help="of generated parts of each family")
+    draw.add_argument("--numbers", nargs="+", type=int, default=NUMBERS, help="of generated parts of each family")
     draw.add_argument("--sensors", nargs="+", choices=list(SENSORS), default=list(SENSORS))
     draw.add_argument("--twins", action="store_true", help="parts with one small feature, beside the meshes")
     draw.add_argument("--all-sensors", action="store_true", help="each part on all sensors, not on one in turn")
@@ -436,6 +438,7 @@ def main() -> None:
     fitted.add_argument("--out", type=Path, default=Path(tactile_loc.data.__file__).parent / FILE)
     arguments = parser.parse_args()
     if arguments.task == "fit":
+        draw_all(parser.parse_args(["draw", str(arguments.folder)]))
         fit(arguments)
     else:
         draw_all(arguments)
