@@ -106,8 +106,8 @@ if TYPE_CHECKING:
     from tactile_loc.sensors.calibration.public_sets import convert_presses as convert_presses
     from tactile_loc.sensors.reading.estimator import EstimatorRecipe as EstimatorRecipe
     from tactile_loc.simulate.touch_simulation import press_touch as press_touch
+    from tactile_loc.slots.code import hash_code as hash_code
     from tactile_loc.store.keys import StageKey as StageKey
-    from tactile_loc.store.keys import hash_code as hash_code
     from tactile_loc.store.store import StageStore as StageStore
     from tactile_loc.tracking.frame_fusion import fuse_frames as fuse_frames
     from tactile_loc.tracking.live import LiveLocator as LiveLocator

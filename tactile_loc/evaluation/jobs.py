@@ -174,11 +174,11 @@ class FinishedJobs:
 
 def resume_jobs(
     title: str, queue: Sequence[QueuedJob], out: Path, workers: Workers, progress: Progress | None = None
-) -> tuple[dict[str, JobOutcome], int]:
+) -> tuple[dict[str, JobOutcome], list[str]]:
     """Do the jobs of a queue that have no row in `out`, and write each row there when the job ends.
 
-    Return all outcomes by key, and the number of jobs done now. The row of a failed job states the error, and the next
-    call tries the job again. Raises TactileLocError if a row cannot be written, or if the workers do not start.
+    Return all outcomes by key, and the keys of the jobs done now. The row of a failed job states the error, and the
+    next call tries the job again. Raises TactileLocError if a row cannot be written, or if the workers do not start.
     """
     kept, progress = FinishedJobs(out), progress or Progress()
     kept.tidy()
@@ -188,7 +188,7 @@ def resume_jobs(
             BuildJournal.forget(one.job)
     missing = {one.job.key: one for one in queue if one.job.key not in outcomes}
     if not missing:
-        return outcomes, 0
+        return outcomes, []
     failed, before = 0, len(outcomes)
     running = workers.run_jobs([one.job for one in missing.values()], {k: one.subject for k, one in missing.items()})
     with progress.task(title, before + len(missing)) as advance, closing(running):
@@ -203,4 +203,4 @@ def resume_jobs(
             log.info("%s: %d jobs are finished; the last was %s.", title, number, note)
             progress.note(note)
             advance(1)
-    return outcomes, len(missing)
+    return outcomes, list(missing)

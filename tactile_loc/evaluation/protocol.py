@@ -22,7 +22,6 @@ from tactile_loc.evaluation.metrics import POSTERIOR_METRICS, PoseJudge, measure
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
@@ -228,12 +227,12 @@ def _make_shard(work: Workspace, names: Sequence[str], numbers: range, make: Cal
 
 def describe_located(localizer: Localizer, touches: SimulatedTouches, count: int) -> dict[str, Any]:
     """Return all inputs of the posteriors of `count` simulated touches, also fused, as JSON values."""
-    matcher = registry().create("matcher", localizer.config.matcher.name, localizer.config.matcher.options)
+    components = localizer.describe_components()
     return {
         **localizer.source.describe_scores(),
         "temperature_scaling": asdict(localizer.source.temperature_scaling),
-        "matcher": matcher.describe(),
-        "fuser": localizer.fuser.describe(),
+        "matcher": components["matcher"],
+        "fuser": components["fuser"],
         **touches.describe(localizer),
         "count": count,
     }

@@ -40,7 +40,7 @@ from tactile_loc.locate.stored_object import load_stored_object
 from tactile_loc.simulate.resting_touches import draw_resting_touches
 from tactile_loc.simulate.touch_simulation import simulate_touches
 from tactile_loc.slots.compatibility import require_compatible
-from tactile_loc.slots.registry import registry
+from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc.store.store import StageStore
 
 
@@ -62,17 +62,13 @@ class Localizer:
     ) -> None:
         self.config, self.object, self._find_places = config, obj, find_places
         self.store, self.progress = store or StageStore(), progress or Progress()
-        self.sensor = self._create("sensor")
-        self.sampler = self._create("grid")
-        self.encoder = self._create("encoder")
-        self.fuser = self._create("fuser")
+        made = {slot: self._create(slot) for slot in SLOTS}
+        require_compatible(made, {slot: getattr(config, slot).name for slot in made})
+        self.sensor, self.sampler, self.encoder, self.fuser = (made[k] for k in ("sensor", "grid", "encoder", "fuser"))
         self.registration = JointRegistration()
-        self.refinement = Refinement(self._create("refiner"), config.refiner.name, self.registration)
-        renderer = self._create("renderer")
-        made = {"sensor": self.sensor, "grid": self.sampler, "encoder": self.encoder, "fuser": self.fuser}
-        made |= {"refiner": self.refinement.refiner, "renderer": renderer, "matcher": self._create("matcher")}
-        require_compatible(made, {slot: getattr(self.config, slot).name for slot in made})
-        self.scene = Scene(obj, self.sensor.geometry, renderer, config.drawing)
+        self.refinement = Refinement(made["refiner"], config.refiner.name, self.registration)
+        self.scene = Scene(obj, self.sensor.geometry, made["renderer"], config.drawing)
+        self._components = made
 
     @cached_property
     def _setup(self) -> SourceSetup:
@@ -103,6 +99,10 @@ class Localizer:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle only what the localizer was made from. The copy makes its components and loads the rest, if stored."""
         return type(self), (self.config, self.object, self.store, self.progress, self._find_places)
+
+    def describe_components(self) -> dict[str, Any]:
+        """Return the description of each slot's component, with a hash of its code, as JSON values."""
+        return {slot: component.describe() for slot, component in self._components.items()}
 
     def _create(self, slot: str) -> Any:
         chosen = getattr(self.config, slot)

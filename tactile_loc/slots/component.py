@@ -1,4 +1,4 @@
-"""Base class for all components: options, capabilities, a version, and a description for the store."""
+"""Base class for all components: options, capabilities, and a description for the store."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from tactile_loc.core.runtime.options import ComponentOptions
+from tactile_loc.slots.code import hash_component
 
 
 @dataclass(frozen=True)
@@ -45,11 +46,10 @@ class Component(ABC):
 
     Several threads may call a component at once.
 
-    `version` is part of the store's keys. Raise it when the component's output changes.
+    A hash of the component's code is part of the store's keys, so a changed component gets new results.
     """
 
     slot: ClassVar[str]
-    version: ClassVar[int] = 1
     capabilities: ClassVar[Capabilities] = Capabilities()
 
     class Options(ComponentOptions):
@@ -59,10 +59,10 @@ class Component(ABC):
         self.options: Any = options if options is not None else self.Options()
 
     def describe(self) -> dict[str, Any]:
-        """Return the class, version and options that identify this component's output, as JSON values.
+        """Return the class, a hash of its code, and the options, as JSON values: they identify this component's output.
 
         Neutral options are left out: they change how the component computes, but not its output.
         """
         kind = f"{type(self).__module__}:{type(self).__qualname__}"
         options = self.options.model_dump(mode="json", exclude=self.options.neutral())
-        return {"class": kind, "version": self.version, "options": options}
+        return {"class": kind, "code": hash_component(type(self)), "options": options}

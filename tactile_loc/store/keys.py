@@ -8,8 +8,6 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +34,6 @@ MEANINGS = {  # what a stage makes, for messages
     "calibration": "training of a calibration",
 }
 
-CODE_SUFFIXES = {".py", ".pyc", ".so", ".pyd"}
 SHORT_DIGITS = 16  # of a hash that names a file or a job
 
 _STAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
@@ -122,28 +119,6 @@ def hash_file(path: Path) -> str:
     except (OSError, ValueError) as error:  # ValueError: no file can have this name
         reason = getattr(error, "strerror", None) or error
         raise StoreError(f"{path} cannot be read ({reason}); check the path and its permissions") from error
-
-
-@cache
-def hash_code(name: str) -> str:
-    """Return the SHA-256 (hex) of the file of a module, or of all code files in the folder of a package.
-
-    A process keeps its first hash of a module, because it also keeps the imported code. Raises StoreError if the code
-    is not in files.
-    """
-    spec = find_spec(name)
-    folders = [] if spec is None else [Path(folder) for folder in spec.submodule_search_locations or ()]
-    files = {
-        path.relative_to(folder).as_posix(): path
-        for folder in folders
-        for path in folder.rglob("*")
-        if path.suffix in CODE_SUFFIXES and path.parent.name != "__pycache__"
-    }
-    if spec is not None and not folders and spec.origin and Path(spec.origin).suffix in CODE_SUFFIXES:
-        files = {Path(spec.origin).name: Path(spec.origin)}
-    if not files:
-        raise StoreError(f"the code of {name} is not in files, so its changes are not seen; install it in a folder")
-    return hash_json({place: hash_file(path) for place, path in files.items()})
 
 
 def _copy_plain(value: object, where: str) -> Any:

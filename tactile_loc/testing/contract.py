@@ -118,12 +118,9 @@ class Untouched:
 
 @check()
 def check_declaration(component: Component) -> None:
-    """The slot is known, the version is a positive integer, and capabilities are declared."""
+    """The slot is known, and capabilities are declared."""
     known = registry().kinds
     require(component.slot in known, f"slot must be one of {', '.join(known)}, not {component.slot!r}")
-    version = component.version
-    good = isinstance(version, int) and not isinstance(version, bool) and version >= 1
-    require(good, f"version must be an integer of at least 1, not {version!r}")
     declared = component.capabilities
     require(isinstance(declared, Capabilities), f"capabilities must be a Capabilities, not {declared!r}")
     options = component.options
@@ -156,6 +153,9 @@ def check_describe_is_json(component: Component) -> None:
     except (TypeError, ValueError) as error:
         require(False, f"describe() must return JSON values, since it is part of the store's keys: {error}")
     require(json.loads(text) == described, "describe() must not change in JSON: use lists and text keys")
+    own = Component.describe(component)
+    kept = all(described.get(name) == own[name] for name in ("class", "code"))
+    require(kept, "describe() must keep the class and the hash of its code: begin with super().describe()")
     twin = type(component)(component.options).describe()
     require(twin == described, "describe() must be the same for a second component with the same options")
 

@@ -64,7 +64,7 @@ def make_replay_key(source: ReplaySource) -> str:
         {
             **source.describe(),
             "object": localizer.object.describe(),
-            "sensor": localizer.sensor.describe(),
+            "components": localizer.describe_components(),
             "configuration": localizer.config.resolve(),
         },
     ).digest

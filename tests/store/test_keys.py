@@ -13,7 +13,6 @@ from tactile_loc.store.keys import (
     MEANINGS,
     StageKey,
     hash_arrays,
-    hash_code,
     hash_file,
     hash_json,
     hash_shortly,
@@ -110,52 +109,3 @@ def test_hash_file_gives_the_digest_of_the_content(tmp_path):
 def test_a_key_explains_its_stage():
     assert MEANINGS["temperature"] in StageKey("temperature", 1, {}).explain()
     assert StageKey("unheard-of", 1, {}).explain() == str(StageKey("unheard-of", 1, {}))
-
-
-@pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of a package with a module in a subpackage."""
-    folder = tmp_path / "keyed_package"
-    (folder / "inner").mkdir(parents=True)
-    (folder / "__init__.py").touch()
-    (folder / "inner" / "deep.py").write_text("A = 1\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    return folder
-
-
-def hash_anew(name: str) -> str:
-    """The hash that another process would find."""
-    hash_code.cache_clear()
-    return hash_code(name)
-
-
-def test_any_change_of_a_package_s_code_changes_its_hash(package):
-    seen = [hash_anew("keyed_package")]
-    (package / "inner" / "deep.py").write_text("A = 2\n")
-    seen.append(hash_anew("keyed_package"))
-    (package / "inner" / "more.py").touch()
-    seen.append(hash_anew("keyed_package"))
-    (package / "inner" / "more.py").rename(package / "more.py")
-    seen.append(hash_anew("keyed_package"))
-    assert len({*seen}) == 4
-    (package / "notes.txt").write_text("no code\n")
-    (package / "__pycache__").mkdir(exist_ok=True)
-    (package / "__pycache__" / "deep.cpython-311.pyc").write_bytes(b"compiled")
-    assert hash_anew("keyed_package") == seen[-1]
-
-
-def test_a_module_outside_of_packages_is_hashed_alone(package):
-    alone = package.parent / "keyed_module.py"
-    alone.write_text("A = 1\n")
-    before = hash_anew("keyed_module")
-    (package.parent / "other_module.py").touch()
-    assert hash_anew("keyed_module") == before
-    alone.write_text("A = 2\n")
-    assert hash_code("keyed_module") == before, "the imported code has not changed"
-    assert hash_anew("keyed_module") != before
-
-
-@pytest.mark.parametrize("name", ["no_such_module_anywhere", "sys"])
-def test_code_that_is_not_in_files_is_refused(name):
-    with pytest.raises(StoreError, match=naming(name)):
-        hash_anew(name)

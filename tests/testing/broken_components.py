@@ -69,12 +69,12 @@ class Loose(ComponentOptions):
 
 
 COMMON = [
-    (contract.check_declaration, made(DenseMatcher, version=0)),
     (contract.check_declaration, made(DenseMatcher, slot="tracker")),
     (contract.check_options_are_strict, made(DenseMatcher, Options=Loose)),
     (contract.check_options_are_described, made(DenseMatcher, Options=Undescribed)),
     (contract.check_describe_is_json, made(DenseMatcher, describe=lambda self: {"size": np.float32(1)})),
     (contract.check_describe_is_json, made(DenseMatcher, describe=lambda self: {"me": id(self)})),
+    (contract.check_describe_is_json, made(DenseMatcher, describe=lambda self: {"class": "DenseMatcher"})),
     (contract.check_describe_names_every_option, made(FaceGrid, describe=lambda self: {"class": "FaceGrid"})),
 ]
 

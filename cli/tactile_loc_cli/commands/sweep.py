@@ -188,14 +188,16 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
 
     files = write_sweep(out, found, line)
     _say_medians(found, line)
-    total = len(found.combinations)
+    total, done, evaluated = len(found.combinations), len(found.done), found.evaluated
+    counts = f"{evaluated} evaluated now, {done - evaluated} from the store, {total - done} from {out}"
     say()
-    say(f"{format_count(total, 'combination')}: {found.done} evaluated now, {total - found.done} before")
+    say(f"{format_count(total, 'combination')}: {counts}")
     say(f"stages built: {', '.join(f'{stage} {count}' for stage, count in found.built.items()) or 'none'}")
     return {
         "out": str(out),
         "combinations": total,
-        "evaluated": found.done,
+        "evaluated": evaluated,
+        "stored": done - evaluated,
         "failed": found.failed,
         "built": found.built,
         "line": line,

@@ -26,7 +26,7 @@ SUMMARIES = {
     "fuser": "product of the touches' probabilities and the prior",
 }
 ADVICE_OF_COMPONENTS = (
-    "Increase its `version` when the same input gives another output: the store keeps the results of each version."
+    "After each change of the code, results are computed anew: a hash of the code is part of the store's keys."
 )
 ADVICE = {"command": "`tactile_loc.commands` offers what commands share: options, output, failures and workers."}
 LONGEST = 30  # characters; lines of the templates stay short with such a name

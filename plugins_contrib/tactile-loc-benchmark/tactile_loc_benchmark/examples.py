@@ -27,7 +27,7 @@ from tactile_loc.plugin import (
 )
 
 from tactile_loc_benchmark.interfaces import Image, RecordedSource, SimulatedSource, TouchSource
-from tactile_loc_benchmark.suite import Suite, SuiteEntry, create, hash_component_code
+from tactile_loc_benchmark.suite import Suite, SuiteEntry, create
 
 EXAMPLES_VERSION = 2  # increase it if the same source and seed give other touches
 RENDERER = "raycast"
@@ -136,7 +136,6 @@ class ExampleDrawer:
             "most": max(self.suite.touches),
             "seed": self.suite.seed,
             "press": list(self.suite.press),
-            "code": hash_component_code("touch-source", self.entry),
         }
         return StageKey("benchmark-touches", EXAMPLES_VERSION, inputs, f"{self.entry.label}, {self.object.name}")
 

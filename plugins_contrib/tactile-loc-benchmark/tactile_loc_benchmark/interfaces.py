@@ -35,10 +35,11 @@ class TouchSource(Component):
     """A source of touches with known poses. Derive from `SimulatedSource` or `RecordedSource`.
 
     `licence` is the licence of the source's software or data. `libraries` are the distributions whose versions a
-    benchmark records.
+    benchmark records. Increase `version` when the same presses give other touches: leaderboards then do not mix them.
     """
 
     slot = "touch-source"
+    version: ClassVar[int] = 1
     licence: ClassVar[str] = ""
     libraries: ClassVar[tuple[str, ...]] = ()
 

@@ -26,7 +26,7 @@ from tactile_loc.plugin import (
 
 from tactile_loc_benchmark.examples import ExampleDrawer
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, RecordedSource, ScoredPoses
-from tactile_loc_benchmark.suite import OWN, Suite, SuiteEntry, create, hash_component_code
+from tactile_loc_benchmark.suite import OWN, Suite, SuiteEntry, create, hash_shortly
 
 LISTED = 10  # most poses of an answer that are measured
 METRICS = ("mssd", "add", "shape")  # the columns of `PoseJudge.measure_errors`
@@ -89,8 +89,8 @@ class LocatingJob:
 def describe_code(source: SuiteEntry, method: SuiteEntry) -> dict[str, str]:
     """Return hashes of the code that decides the rows of a source and a method. Raises TactileLocError."""
     return {
-        "touch-source": hash_component_code("touch-source", source),
-        "method": hash_component_code("method", method),
+        "touch-source": hash_shortly(create("touch-source", source).describe()),
+        "method": hash_shortly(create("method", method).describe()),
         **{name: hash_code(f"tactile_loc.{name}") for name in LOCATING},
         **{name: hash_code(f"{OWN}.{name}") for name in DRAWING},
     }

@@ -16,16 +16,7 @@ from tactile_loc.plugin import ConfigError, MissingLibraryError, ObjectModel, Ta
 from tactile_loc_benchmark.examples import describe_libraries, make_sensor
 from tactile_loc_benchmark.interfaces import Method, RecordedSource, TouchSource
 from tactile_loc_benchmark.results import UsedMethod, UsedSource
-from tactile_loc_benchmark.suite import (
-    HERE,
-    Suite,
-    SuiteEntry,
-    SuiteObject,
-    create,
-    find_in_data,
-    hash_component_code,
-    hash_shortly,
-)
+from tactile_loc_benchmark.suite import HERE, Suite, SuiteEntry, SuiteObject, create, find_in_data, hash_shortly
 
 SENSOR_VERSION = 1  # increase it if the same source gets another sensor
 SENSORS = "benchmark-sensors"  # a folder of the store
@@ -114,7 +105,7 @@ def hash_protocol(suite: Suite, entry: SuiteEntry, source: TouchSource, objects:
             "suite": suite.describe_protocol(),
             "source": entry.name,
             "options": options,
-            "version": source.describe().get("version"),
+            "version": source.version,
             "objects": {name: obj.describe() for name, obj in objects.items()},
         }
     )
@@ -151,7 +142,6 @@ def _prepare_sensor(source: TouchSource, entry: SuiteEntry, store: Path) -> dict
         "version": SENSOR_VERSION,
         "source": source.describe(),
         "libraries": describe_libraries(source.libraries),
-        "code": hash_component_code("touch-source", entry),
     }
     folder = store / SENSORS / hash_shortly(described)
     folder.mkdir(parents=True, exist_ok=True)

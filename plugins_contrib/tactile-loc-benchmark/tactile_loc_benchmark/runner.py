@@ -113,7 +113,7 @@ def run_benchmark(suite: Suite, out: Path, store: Path, workers: Any, progress: 
     for cell in cells:
         outcome = outcomes[cell.job.key]
         ended.append(dataclasses.replace(cell, measured=outcome.measured or {}, error=outcome.error))
-    return Benchmark(suite, sources, methods, ended, done)
+    return Benchmark(suite, sources, methods, ended, len(done))
 
 
 def _prepare(suite: Suite, store: Path, progress: Progress) -> tuple[list[PreparedSource], list[PreparedMethod]]:

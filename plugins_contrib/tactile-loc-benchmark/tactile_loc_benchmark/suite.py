@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from tactile_loc import DEMO_OBJECTS, TactileLocError, Units, hash_code
+from tactile_loc import DEMO_OBJECTS, TactileLocError, Units
 from tactile_loc.plugin import ConfigError, MissingLibraryError, did_you_mean, registry
 
 SUITES, SPLITS = "suites", "objects.toml"
@@ -221,16 +221,6 @@ def hash_shortly(values: Mapping[str, Any]) -> str:
     """Return the first 16 hexadecimal digits of the SHA-256 of JSON values."""
     text = json.dumps(values, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def hash_component_code(kind: str, entry: SuiteEntry) -> str:
-    """Return a hash of the code of an entry's component: of the package that its plugin installs.
-
-    For a component of this benchmark, it is the package that contains the component's module. Raises TactileLocError.
-    """
-    module = registry().find(kind, entry.name).spec.target.partition(":")[0]
-    package = module.partition(".")[0]
-    return hash_code(module.rpartition(".")[0] if package == OWN else package)
 
 
 def create(kind: str, entry: SuiteEntry) -> Any:

@@ -12,9 +12,9 @@ import pytest
 from message_helpers import missing, naming
 from tactile_loc.evaluation.jobs import do_job
 from tactile_loc.plugin import ConfigError, registry
-from tactile_loc.store.keys import hash_code
+from tactile_loc.slots.code import hash_code, hash_component
 
-from tactile_loc_benchmark import job, suite
+from tactile_loc_benchmark import job
 from tactile_loc_benchmark.prepare import load_objects, prepare_source
 from tactile_loc_benchmark.runner import run_benchmark
 
@@ -93,7 +93,7 @@ def test_a_label_does_not_make_a_new_job(run_small, tmp_path):
 def start_anew() -> None:
     """Forget the imported code, as a new process does."""
     sys.modules.pop("bench_moving", None)
-    hash_code.cache_clear()
+    hash_component.cache_clear()
     registry.cache_clear()
 
 
@@ -115,8 +115,11 @@ def test_changed_code_of_a_method_makes_a_new_job(run_small, tmp_path):
 @pytest.mark.parametrize("package", ["tactile_loc.locate", "bench_parts"])
 def test_changed_code_of_the_source_or_of_tactile_loc_makes_new_jobs(run_small, tmp_path, monkeypatch, package):
     run_small(tmp_path, method=["guess"])
-    for module in (job, suite):
-        monkeypatch.setattr(module, "hash_code", lambda name: "changed" if name == package else hash_code(name))
+    monkeypatch.setattr(job, "hash_code", lambda name: "changed" if name == package else hash_code(name))
+    monkeypatch.setattr(
+        "tactile_loc.slots.component.hash_component",
+        lambda kind: "changed" if kind.__module__ == package else hash_component(kind),
+    )
     assert run_small(tmp_path, method=["guess"]).done == 1
 
 

@@ -174,8 +174,12 @@ class PlaceGrid:
         return sampler
 
     def describe(self) -> dict[str, Any]:
-        """Return the name of the grid, and what identifies its places, as JSON values."""
-        return {"name": self.name, **self.make_sampler().describe()}
+        """Return the name of the grid, and what identifies its places, as JSON values.
+
+        The version of places stands for the grid's code, so a library outlives changes that leave its places alone.
+        """
+        described = {k: v for k, v in self.make_sampler().describe().items() if k != "code"}
+        return {"name": self.name, "version": PLACES_VERSION, **described}
 
 
 def make_record(obj: ObjectModel, grid: PlaceGrid, units: str, source_sha256: str) -> PartRecord:

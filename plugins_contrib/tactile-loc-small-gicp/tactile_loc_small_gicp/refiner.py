@@ -27,8 +27,6 @@ class Prepared:
 class SmallGicpRefiner(CloudRefiner):
     """Registers each candidate's contact cloud to the touch's cloud, once, starting at the candidate's pose."""
 
-    version = 2
-
     class Options(CloudRefiner.Options):
         """The points, distances and iterations of the registration."""
 

@@ -10,6 +10,8 @@ from contextlib import suppress
 from threading import Thread
 from typing import Any
 
+HOMES: dict[str, dict[str, str]] = {}  # of each lazy module: its names, with the modules from which they are imported
+
 
 def lazy_names(
     module: str, **made: Callable[[], Any]
@@ -20,7 +22,7 @@ def lazy_names(
     functions that make their values.
     """
     loader: Any = vars(sys.modules[module])["__spec__"].loader
-    homes = _imports_for_type_checkers(loader.get_source(module))
+    homes = HOMES[module] = _imports_for_type_checkers(loader.get_source(module))
 
     def attribute(name: str) -> Any:
         if name in homes:

@@ -104,6 +104,7 @@ def make_recall_key(localizer: Localizer, examples: ExampleSource, together: Seq
         **localizer.source.describe_scores(),
         "object": localizer.object.describe(),
         "settings": settings,
+        "components": localizer.describe_components(),
         "stages": dict(STAGE_VERSIONS),
         "scalings": asdict(localizer.source.temperature_scaling),
         "outcomes": load_outcome_model().about["version"],

@@ -49,6 +49,7 @@ from tactile_loc.store.files import read_json, require_writable
 
 SCHEMA_VERSION = 1
 FAILED = "failed"
+EVALUATION = "evaluation"  # the stage of a combination's results
 
 IDENTITY = ("object", *SLOTS, "noise", "seed", "count")
 MOMENTARY = (*TIMES, "model_s", "built")
@@ -78,13 +79,13 @@ class ChoiceMedian(NamedTuple):
 class Sweep:
     """A plan's combinations and their outcomes.
 
-    `done` is the number of combinations that this call evaluated; the others were evaluated before.
+    `done` has the keys of the combinations whose rows this call made; the other rows were there before.
     """
 
     plan: Plan
     combinations: Sequence[Combination]
     outcomes: Mapping[str, JobOutcome]
-    done: int
+    done: Sequence[str]
 
     @cached_property
     def rows(self) -> list[Row]:
@@ -132,6 +133,12 @@ class Sweep:
     def failed(self) -> int:
         """The number of combinations that ended with an error."""
         return sum(bool(outcome.error) for outcome in self.outcomes.values())
+
+    @property
+    def evaluated(self) -> int:
+        """The number of combinations whose evaluation was built or failed in this call; others are in the store."""
+        outcomes = (self.outcomes[key] for key in self.done)
+        return sum(bool(one.error) or any(name.split()[0] == EVALUATION for name in one.built) for one in outcomes)
 
     @property
     def built(self) -> dict[str, int]:

@@ -38,8 +38,6 @@ class FaceGrid(GridSampler):
     ledge beside the face, could lie between the same rows at every yaw.
     """
 
-    version = 3
-
     class Options(GridSampler.Options):
         """`face` is the object's side that touches the sensor. "auto" is the side on which the object rests."""
 

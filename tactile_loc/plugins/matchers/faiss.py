@@ -22,7 +22,6 @@ class FaissMatcher(Matcher):
     -1/2 sum w (q - b)^2 is then the inner product of [w q, -w/2] with [b, b^2], minus 1/2 sum w q^2.
     """
 
-    version = 2
     capabilities = Capabilities(top_k_only=True)
 
     class Options(ComponentOptions):

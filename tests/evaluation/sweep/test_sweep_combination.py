@@ -77,11 +77,9 @@ def test_the_key_depends_on_the_content_of_a_mesh_and_not_on_its_path(tmp_path):
     assert a == b != c
 
 
-def test_a_component_of_another_version_makes_another_row(monkeypatch):
-    from tactile_loc.plugins.refiners.icp import IcpRefiner
-
+def test_a_component_with_other_code_makes_another_row(monkeypatch):
     before = keys({"object": ["pin"], "refiner": ["icp"]})
-    monkeypatch.setattr(IcpRefiner, "version", IcpRefiner.version + 1)
+    monkeypatch.setattr("tactile_loc.slots.component.hash_component", lambda kind: "changed")
     assert keys({"object": ["pin"], "refiner": ["icp"]}) != before
 
 

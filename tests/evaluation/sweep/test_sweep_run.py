@@ -138,7 +138,7 @@ def test_a_finished_sweep_repeats_nothing_and_removes_partial_files_of_a_killed_
         left.mkdir(parents=True)
     again = run_sweep(plan, folder / "here", folder / "elsewhere", Nobody())
     assert again.rows == swept.rows
-    assert again.done == 0
+    assert not again.done
     assert sorted(path.name for path in (folder / "here/rows").iterdir()) == before
     assert not list((folder / "here/errors").iterdir())
 
@@ -150,7 +150,7 @@ def test_only_missing_rows_are_computed(plan, locally, folder):
     path.unlink()
     watched = Watched()
     again = run_sweep(plan, folder / "local", folder / "store-local", LocalWorkers(2, 1, folder / "log"), watched)
-    assert again.done == 1
+    assert (len(again.done), again.evaluated) == (1, 0)
     assert watched.notes == ["head pixel none"]
     assert lasting(again.rows) == lasting(locally.rows)
     assert again.rows[2]["built"] == "[]"  # the evaluation is in the store

@@ -82,7 +82,7 @@ def test_a_failed_combination_has_a_row_and_is_tried_again(tiny, folder, tmp_pat
     assert set(traces) == {row["key"] for row in swept.rows if "ValueError" in row["error"]}
     assert all("sweep_faults_parts.py" in text for text in traces.values())
     again = sweep(tiny, refiners, tmp_path, folder / "store", LocalWorkers(1, 3, tmp_path / "workers.log"))
-    assert again.done == 6
+    assert len(again.done) == again.evaluated == 6
 
 
 @pytest.mark.slow

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 from tactile_loc import Localizer, RunConfig, StageStore, localize_together
-from tactile_loc.plugin import ComponentOptions, Touch
+from tactile_loc.plugin import ComponentOptions, Touch, registry
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
+
+CALLER = "the method tactile-loc"
+SLOTS = ("renderer", "grid", "encoder", "matcher", "refiner", "fuser")  # the problem has the sensor
 
 
 class TactileLoc(Method):
@@ -22,6 +25,13 @@ class TactileLoc(Method):
         settings: dict[str, Any] = Field(
             default_factory=dict, description="entries of a configuration, such as {refiner = 'icp'}"
         )
+
+    def describe(self) -> dict[str, Any]:
+        """Return what identifies the poses: the settings, and the components with hashes of their code."""
+        chosen = RunConfig.from_dict(self.options.settings, CALLER)
+        slots = {slot: getattr(chosen, slot) for slot in SLOTS}
+        made = {slot: registry().create(slot, one.name, one.options).describe() for slot, one in slots.items()}
+        return {**super().describe(), "components": made}
 
     def prepare(self, problem: LocatingProblem) -> None:
         """Build the object's model."""
@@ -38,5 +48,5 @@ class TactileLoc(Method):
 
 
 def _make_localizer(settings: dict[str, Any], problem: LocatingProblem) -> Localizer:
-    config = RunConfig.from_dict({**settings, "sensor": dict(problem.sensor)}, "the method tactile-loc")
+    config = RunConfig.from_dict({**settings, "sensor": dict(problem.sensor)}, CALLER)
     return Localizer(config, problem.object, StageStore(problem.folder))
