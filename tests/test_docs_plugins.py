@@ -1,4 +1,4 @@
-"""The pages on plugins match the code: examples, tables of slots and refused combinations, errors and versions."""
+"""The pages on plugins match the code: examples, tables of slots, errors and versions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tables
 from message_helpers import missing
 from tactile_loc_cli.scaffold.examples import make_examples
 
@@ -22,7 +21,6 @@ from tactile_loc.core.runtime.errors import (
     UnknownPluginError,
 )
 from tactile_loc.plugins.matchers.dense import DenseMatcher
-from tactile_loc.slots.compatibility import INCOMPATIBILITIES, Declared
 from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.interface import INTERFACE_VERSION
 from tactile_loc.slots.registry import SLOTS, ComponentSpec, Registry, hookimpl
@@ -171,26 +169,3 @@ def test_the_failure_row_has_the_documented_text():
 
 def test_the_generated_examples_are_up_to_date():
     assert make_examples() == EXAMPLES, "run python -m tactile_loc_cli.scaffold.examples"
-
-
-def test_the_table_of_refused_combinations_has_a_row_for_each_rule():
-    shown = tables.REFUSED.search(PAGE)
-    assert shown, "docs/plugins.md has no table of combinations"
-    assert shown[0] == tables.tabulate_combinations(), "run python docs/tables.py"
-    rows = shown[0].splitlines()[2:]
-    for row, rule in zip(rows, INCOMPATIBILITIES, strict=True):
-        assert rule.reason in row
-        assert rule.advice in row
-
-
-@pytest.mark.parametrize(
-    ("declared", "names"),
-    [
-        (Declared("grid", "places", True), ["whole"]),
-        (Declared("matcher", "top_k_only", True), ["faiss"]),
-        (Declared("matcher", "weights", False), []),
-        (Declared("fuser", "contact_only", False), ["product"]),
-    ],
-)
-def test_built_in_components_are_found_by_their_declaration(declared, names):
-    assert list(tables.find_declaring(declared)) == names

@@ -39,7 +39,6 @@ from tactile_loc.locate.sources.whole_object import WholeObjectSource
 from tactile_loc.locate.stored_object import load_stored_object
 from tactile_loc.simulate.resting_touches import draw_resting_touches
 from tactile_loc.simulate.touch_simulation import simulate_touches
-from tactile_loc.slots.compatibility import require_compatible
 from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc.store.store import StageStore
 
@@ -63,7 +62,6 @@ class Localizer:
         self.config, self.object, self._find_places = config, obj, find_places
         self.store, self.progress = store or StageStore(), progress or Progress()
         made = {slot: self._create(slot) for slot in SLOTS}
-        require_compatible(made, {slot: getattr(config, slot).name for slot in made})
         self.sensor, self.sampler, self.encoder, self.fuser = (made[k] for k in ("sensor", "grid", "encoder", "fuser"))
         self.registration = JointRegistration()
         self.refinement = Refinement(made["refiner"], config.refiner.name, self.registration)

@@ -1,1 +1,1 @@
-"""The interfaces of the stages, their registry, and the rules of compatibility."""
+"""The interfaces of the stages, their registry, and hashes of their code."""

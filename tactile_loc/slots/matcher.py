@@ -26,5 +26,5 @@ class Matcher(Component):
 
         `weights` w (M, D), 0 to 1, are the known shares of the numbers of a query q. The score of a row b is
         -1/2 sum_d w_d (q_d - b_d)^2. None means weights of one. A matcher that declares `Capabilities(weights=False)`
-        never gets weights.
+        never gets weights: see `LiftedMatcher`.
         """

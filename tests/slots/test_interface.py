@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 import strange_matchers
 from strange_matchers import Listed, Plain, installed
 
-from tactile_loc.core.runtime.errors import ConfigError, PluginLoadError
+from tactile_loc.core.runtime.errors import PluginLoadError
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.sources.scoring import LiftedMatcher
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.slots.interface import INTERFACE_VERSION, WEIGHTS_CHANGE, takes_weights
 from tactile_loc.slots.registry import BUILT_IN, ComponentSpec, Registry, registry
@@ -82,7 +84,17 @@ def test_a_matcher_without_weights_scores_listed_poses(store):
     assert found == pytest.approx(wanted, abs=1e-5)
 
 
-def test_a_matcher_without_weights_is_refused_for_whole_grids(store):
-    with pytest.raises(ConfigError, match="'listed'") as caught:
-        Localizer.create("pin", store=store, matcher="listed", **FEW)
-    assert "\n" not in str(caught.value)
+def test_a_matcher_without_weights_scores_places_like_an_exact_matcher(store):
+    localizer, exact = (Localizer.create("pin", store=store, matcher=name, **FEW) for name in ("listed", "dense"))
+    touch = localizer.simulate(1, seed=2)[0]
+    found, wanted = (one.source.place_search.alike(touch, 200) for one in (localizer, exact))
+    assert {pose.tobytes() for pose in found[0]} == {pose.tobytes() for pose in wanted[0]}
+    assert np.sort(found[1]) == pytest.approx(np.sort(wanted[1]), abs=1e-4)
+    best, right = (one.localize(touch).best.T_sensor_object for one in (localizer, exact))
+    np.testing.assert_allclose(best, right, atol=1e-6)
+
+
+def test_weights_are_lifted_by_the_contract():
+    results = {result.name: result for result in run_checks(LiftedMatcher(Listed()))}
+    assert "check_weights" in results
+    assert [name for name, result in results.items() if not result.passed] == []

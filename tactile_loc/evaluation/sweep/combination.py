@@ -27,7 +27,6 @@ from tactile_loc.io.config import EXACT, ObjectConfig, RunConfig, SlotConfig, To
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.sources.listed_grid import make_bank_key, make_encoder_key, make_grid_key, make_shapes_key
-from tactile_loc.slots.compatibility import require_compatible
 from tactile_loc.slots.component import Component
 from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc.store.keys import StageKey, hash_arrays, hash_shortly, write_canonical_json
@@ -70,8 +69,8 @@ class Combination:
 def combine(plan: Plan) -> tuple[list[Combination], dict[str, ObjectModel]]:
     """Return all combinations, ordered by object, slots, noise and seed, and the objects by name.
 
-    All meshes are read and all components made, so errors appear now. Raises TactileLocError for bad input, for
-    components that exclude each other, and for a grid that lists no poses.
+    All meshes are read and all components made, so errors appear now. Raises TactileLocError for bad input, and for a
+    grid that lists no poses.
     """
     objects = _load(plan.objects)
     described: dict[str, tuple[Component, Any]] = {}
@@ -122,11 +121,11 @@ def make_combination_key(config: RunConfig, obj: ObjectModel, count: int, compon
 def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any]] | None = None) -> dict[str, Any]:
     """Return the description of each slot's component, and of the sensor's geometry.
 
-    `known` keeps the components for later calls. Raises TactileLocError for a component that cannot be made, for
-    components that exclude each other, and for a grid that lists no poses.
+    `known` keeps the components for later calls. Raises TactileLocError for a component that cannot be made, and for a
+    grid that lists no poses.
     """
     known = {} if known is None else known
-    made = {}
+    described = {}
     for slot in SLOTS:
         chosen: SlotConfig = getattr(config, slot)
         name = write_canonical_json({"slot": slot, **chosen.model_dump()})
@@ -134,15 +133,12 @@ def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any
             component = registry().create(slot, chosen.name, chosen.options)
             geometry = {"geometry": component.geometry.describe()} if slot == "sensor" else {}
             known[name] = component, {**component.describe(), **geometry}
-        made[slot] = known[name]
-    components = {slot: component for slot, (component, _) in made.items()}
-    if components["grid"].capabilities.places:
-        raise ConfigError(
-            f"a sweep needs a grid that lists its poses, but {config.grid.name!r} does not; choose another, such as "
-            "face"
-        )
-    require_compatible(components, {slot: getattr(config, slot).name for slot in SLOTS})
-    return {slot: described for slot, (_, described) in made.items()}
+        component, described[slot] = known[name]
+        if component.capabilities.places:
+            raise ConfigError(
+                f"a sweep needs a grid that lists its poses, but {chosen.name!r} does not; choose another, such as face"
+            )
+    return described
 
 
 def find_missing_stages(

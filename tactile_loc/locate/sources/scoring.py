@@ -32,9 +32,40 @@ class BankMatcher(NamedTuple):
     nbytes: int
 
 
-def index_bank(new_matcher: NewMatcher, bank: Any) -> BankMatcher:
-    """Return a matcher of a bank (N, D)."""
-    matcher = new_matcher()
+class LiftedMatcher(Matcher):
+    """Computes weighted scores of the rows that a matcher without weights finds.
+
+    Let rows b and queries q with weights w be relative to the bank's mean. The matcher compares [w q, -w/2, 0] with
+    [b, b^2, c], where c gives all rows the same length. For such rows, -1/2 of the squared distance is the weighted
+    score, except for rounding and a constant of each query. So the nearest rows are those with the highest scores.
+    """
+
+    def __init__(self, matcher: Matcher) -> None:
+        super().__init__()
+        self._matcher = matcher
+
+    def index(self, bank: Scores) -> None:
+        """Give the matcher the lifted bank (N, 2 D + 1)."""
+        self._mean = np.mean(bank, axis=0, dtype=np.float64).astype(np.float32)
+        self._centred = bank - self._mean
+        lifted = np.hstack([self._centred, self._centred**2, np.zeros((len(bank), 1), np.float32)])
+        squares = np.einsum("nd,nd->n", lifted, lifted)
+        lifted[:, -1] = np.sqrt(squares.max() - squares)
+        self._matcher.index(lifted)
+
+    def scores(self, queries: Scores, weights: Scores | None = None) -> Scores:
+        """Return weighted scores (M, N) of queries (M, D); -inf for rows that the matcher does not find."""
+        q = queries - self._mean
+        w = np.ones_like(q) if weights is None else np.asarray(weights, np.float32)
+        scores = self._matcher.scores(np.hstack([w * q, -0.5 * w, np.zeros((len(q), 1), np.float32)]))
+        for k in range(len(q)):
+            rows = np.flatnonzero(scores[k] > -np.inf)
+            scores[k, rows] = -0.5 * ((q[k] - self._centred[rows]) ** 2 @ w[k])
+        return scores
+
+
+def index_bank(matcher: Matcher, bank: Any) -> BankMatcher:
+    """Give a matcher its bank (N, D)."""
     matcher.index(bank)
     return BankMatcher(matcher, bank.nbytes)
 
@@ -43,7 +74,8 @@ class GridScores:
     """Scores touches against the banks of a grid; each press depth has its own bank.
 
     `bank` returns the bank (N, D) of a press depth in metres. `new_matcher` returns an empty matcher. `max_depth_m` is
-    the sensor's maximal depth. With `follow`, touches are compared at their own press depth, whatever the encoder.
+    the sensor's maximal depth. With `follow`, touches are compared at their own press depth, whatever the encoder, and
+    matchers take weights.
     """
 
     def __init__(
@@ -54,7 +86,7 @@ class GridScores:
         max_depth_m: float,
         follow: bool = False,
     ) -> None:
-        self.follow = follow or encoder.capabilities.follows_press_depth
+        self.weighted, self.follow = follow, follow or encoder.capabilities.follows_press_depth
         self.encoder, self.new_matcher, self.bank, self.max_depth_m = encoder, new_matcher, bank, max_depth_m
         self._matchers: ByteCache[float, BankMatcher] = ByteCache(
             KEPT_BYTES, lambda kept: kept.nbytes, fewest=FEWEST_MATCHERS
@@ -84,7 +116,11 @@ class GridScores:
         press_m = self.bank_press_m(press_depth_m)
         # each bank is built once; but work in turns must not hold a lock
         with nullcontext() if takes_turns() else self._choosing:
-            return self._matchers.get(press_m, lambda: index_bank(self.new_matcher, self.bank(press_m))).matcher
+            return self._matchers.get(press_m, lambda: index_bank(self._make_matcher(), self.bank(press_m))).matcher
+
+    def _make_matcher(self) -> Matcher:
+        matcher = self.new_matcher()
+        return LiftedMatcher(matcher) if self.weighted and not matcher.capabilities.weights else matcher
 
     @property
     def nbytes(self) -> int:

@@ -20,7 +20,6 @@ from tactile_loc.evaluation.sweep.combination import (
 )
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.slots import compatibility
 from tactile_loc.store.store import StageStore
 
 
@@ -136,16 +135,3 @@ def test_shared_stages_count_once(tmp_path, tiny):
     combinations, objects = combine(Plan.from_values({**values, "temperature": 0.1}))
     expected = {"grid": 2, "shapes": 4, "encoder": 0, "bank": 4, "temperature": 0, "evaluation": 8}
     assert find_missing_stages(combinations, objects, tmp_path) == expected
-
-
-def test_incompatible_components_are_refused_during_planning(monkeypatch):
-    """The error comes before any build; the test invents a rule for two built-in components."""
-    first, second = (
-        compatibility.Declared(*one, True) for one in (("matcher", "top_k_only"), ("fuser", "contact_only"))
-    )
-    rule = compatibility.Incompatibility(first, second, "they cannot stand each other", "choose others")
-    monkeypatch.setattr(compatibility, "INCOMPATIBILITIES", (rule,))
-    base = {"object": ["pin"], "matcher": ["dense", "faiss"]}
-    assert len(combine(Plan.from_values(base))[0]) == 2
-    with pytest.raises(ConfigError, match=r"'faiss' and the fuser 'kinematic'.*cannot stand each other; choose others"):
-        combine(Plan.from_values({**base, "fuser": ["product", "kinematic"]}))
