@@ -37,6 +37,7 @@ class NodeOptions:
     compressed: bool = option(False, "the images are CompressedImage")
     config: str = option("", "configuration file (.toml) of tactile-loc, for all settings that are not listed here")
     tolerance: str = option("", "largest error of a pose that counts as right in the verdict, such as 0.5mm,2deg")
+    confidence: float = option(0.0, "probability from which a pose is certain, 0 to 1; 0: as configured, or 0.95")
     store: str = option("", "folder of built models")
     pose_topic: str = option("/object/pose", "topic of the poses")
     verdict_topic: str = option("/object/verdict", "topic of the verdicts")
@@ -106,6 +107,8 @@ class NodeOptions:
             settings["sensor"] = choose_sensor(self.sensor)
         if self.tolerance:
             settings["tolerance"] = self.tolerance
+        if self.confidence:
+            settings["confidence"] = self.confidence
         settings["store"] = self.store or None
         localizer = Localizer.create(name, units=units, symmetry=symmetry, **settings)
         return localizer, [Localizer.create(path, units=units, **settings) for path in self.library]

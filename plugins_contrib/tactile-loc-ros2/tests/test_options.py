@@ -88,11 +88,12 @@ def test_a_configuration_gives_all_other_settings(tmp_path):
         'temperature = 1e-3\n[object]\npath = "pin"\n[sensor]\nname = "digit"\n[grid]\nname = "face"\nspacing_mm = 8\n'
         "[tracker]\nmodes = 3\n"
     )
-    options = NodeOptions(config=str(file), image_topic="/gel", tolerance="0.5mm,2deg")
+    options = NodeOptions(config=str(file), image_topic="/gel", tolerance="0.5mm,2deg", confidence=0.99)
     localizer, library = options.make_localizers()
     config = localizer.config
     assert (config.object.path, config.sensor.name, config.tracker.modes, library) == ("pin", "digit", 3, [])
     assert config.grid.options["spacing_mm"] == 8
     assert config.tolerance.distance_m == pytest.approx(5e-4)
+    assert config.confidence == 0.99
     other, _ = replace(options, object="head", sensor="gelslim").make_localizers()
     assert (other.object.name, other.config.sensor.name) == ("head", "gelslim")
