@@ -162,8 +162,8 @@ class RunOptions:
         int | None,
         declare(
             "--top N",
-            "Number of poses to refine and list. Default: 10. With --grid face or hopf, fewer also changes the "
-            "probabilities.",
+            "Number of poses to list. Default: 10. More than 10 also change the probabilities with --grid face or "
+            "hopf, and more than 20 with other grids.",
         ),
     ] = None
     coverage: Annotated[

@@ -25,6 +25,7 @@ from tactile_loc.locate.sources.source import PoseSource, Scored
 from tactile_loc.slots.fuser import Fuser
 from tactile_loc.slots.refiner import Refiner
 
+PROPOSED = 10  # modes of a listed grid, at least, however few are listed
 JOINT = "joint registration"
 REFINED_WITH_PRIOR = 12  # of the likeliest modes are also refined with the prior
 
@@ -221,10 +222,10 @@ class LocatingMethod:
     def propose(self, scored: Scored, posterior: PosePosterior, query: Query) -> list[Mode]:
         """Return the modes of the posterior to refine, and the poses that the query gives.
 
-        A query that lists fewer poses than the settings has the same modes, and so the same verdict.
+        A query that lists fewer than PROPOSED poses has the same modes, and so the same verdict.
         """
         with query.times.stage("modes"):
-            top = max(query.top, self.config.top, LISTED if query.coverage is not None else 0)
+            top = max(query.top, self.config.top, PROPOSED if query.coverage is None else LISTED)
             modes = self.source.propose(query.views, scored, posterior, self.temper_prior(query), top)
             if query.starts is None:
                 return modes

@@ -388,12 +388,13 @@ def test_the_most_probable_pose_has_a_probability_a_verdict_and_a_covariance(pin
 
 @pytest.mark.parametrize("noise", ["none", "mild"])
 def test_the_verdict_does_not_depend_on_how_a_touch_is_located_or_how_many_poses_are_listed(pin, noise):
-    given = pin.simulate(8, seed=3, noise=noise)
+    given, few = pin.simulate(8, seed=3, noise=noise), Localizer.create("pin", store=pin.store, **FINE, top=3)
     for touch, many in zip(given, pin.localize_many(given), strict=True):
         whole, found = pin.localize(touch), pin.find_most_probable_pose(touch)
         assert found.verdict is whole.verdict is many.verdict is LocatedFrame.of(whole).verdict
         assert found.probability == whole.best.probability == many.best.probability
         assert pin.localize(touch, top=3).outcome == whole.outcome == many.outcome
+        assert few.localize(touch).outcome == whole.outcome
 
 
 def test_the_most_probable_pose_of_a_refiner_without_covariances_has_one(pin, touches, store):
