@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
+from insertion import ALONG_M
 from numpy.typing import NDArray
 from scene import OPEN_M
 from scipy.spatial.transform import Rotation
-from shapes import Part
-from touching import open_gels
+from shapes import TIP_Z_M, Part
+from touching import CAUGHT_M, CONFIDENCE, open_gels
 
 from tactile_loc import Approach, Localization, PoseModes, Verdict, choose_next_touch
-from tactile_loc.plugin import make_transform, make_translation, rotation_about
+from tactile_loc.plugin import invert, make_transform, make_translation, rotation_about
 
 Pose = NDArray[np.float64]
 
@@ -41,11 +42,29 @@ class Placement:
     name: str
 
 
-def decide(verdict: Verdict, grasps: int) -> Action:
-    """Return the next action, given the verdict on the tip from all touches, and the past grasps."""
-    if verdict is Verdict.CERTAIN:
+def decide(verdict: Verdict, chance: float, grasps: int) -> Action:
+    """Return the next action, given the verdict on the tip from all touches, and the past grasps.
+
+    `chance`, 0 to 1, is the probability that the insertion works: see `find_chance`.
+    """
+    works = verdict is Verdict.AMBIGUOUS and chance >= CONFIDENCE
+    if verdict is Verdict.CERTAIN or works:
         return Action.INSERT
     return Action.TOUCH if grasps < MOST_GRASPS else Action.STOP
+
+
+def find_chance(found: Localization, part: Part) -> float:
+    """Return the probability, 0 to 1, of the listed poses with which an insertion from the first pose works.
+
+    Across the hole, the chamfers catch the tip. Along the hole, the arm gives way.
+    """
+    T = np.stack([h.T_base_object for h in found.hypotheses if h.T_base_object is not None])
+    moved = invert(T[0]) @ T
+    shifts_m = moved[:, :3, 2] * TIP_Z_M + moved[:, :3, 3] - [0, 0, TIP_Z_M]
+    yaws_rad, period_rad = np.arctan2(moved[:, 1, 0], moved[:, 0, 0]), 2 * np.pi / part.fits
+    turned_m = part.corner_m * np.abs((yaws_rad + period_rad / 2) % period_rad - period_rad / 2)
+    works = (np.hypot(*shifts_m[:, :2].T) + turned_m <= CAUGHT_M) & (np.abs(shifts_m[:, 2]) <= ALONG_M)
+    return float(sum(h.probability for h, fits in zip(found.hypotheses, works, strict=True) if fits))
 
 
 def spread_modes(found: Localization) -> PoseModes:

@@ -12,7 +12,7 @@ from methods import METHODS, Bench, Started
 from numpy.typing import NDArray
 from robot import Robot
 from scene import build_model
-from shapes import PARTS, TIP_Z_M, Part
+from shapes import PARTS, ROUND, TIP_Z_M, Part
 from touching import Gels, make_localizer
 from trials import Trial
 
@@ -23,7 +23,6 @@ Pose = NDArray[np.float64]
 
 HOME = make_translation([0.12, 0.0, 0.1])  # where the gripper takes the part
 SETTLING_S = 0.3
-ROUND = 12  # a shank that fits in so many rotations is round
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from controller import Action, Placement, choose_placement, decide, list_placements
+from controller import Action, Placement, choose_placement, decide, find_chance, list_placements
 from insertion import insert, search_blindly
 from numpy.typing import NDArray
 from robot import Robot
@@ -92,12 +92,12 @@ def insert_after_first_touch(bench: Bench) -> None:
 
 
 def insert_when_certain(bench: Bench) -> None:
-    """(c) Touch until the verdict on the tip is certain; then insert."""
+    """(c) Touch until the tip is known well enough; then insert."""
     robot, prior = bench.robot, bench.expect_nominal()
     bench.touch()
     while True:
         found = bench.locate(prior)
-        action = decide(found.verdict, len(bench.placements))
+        action = decide(found.verdict, find_chance(found, bench.part), len(bench.placements))
         if action is not Action.TOUCH:
             break
         placements = list_placements(found.best.T_base_object, bench.part)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 Points = NDArray[np.float64]
 
 SIDES = 64  # of the polygons that stand for circles
+ROUND = 12  # a shank that fits in so many rotations is round
 TIP_Z_M, SEAT_Z_M = (
     -44e-3,
     -26e-3,
@@ -38,6 +39,11 @@ class Part:
     yaws_deg: tuple[float, ...]
     shifts_m: Points
     fits: int
+
+    @property
+    def corner_m(self) -> float:
+        """The distance of the shank's corners from its axis, metres; 0 if the shank is round."""
+        return 0.0 if self.fits >= ROUND else float(np.linalg.norm(self.shank, axis=1).max())
 
     @property
     def depth_m(self) -> float:

@@ -10,27 +10,50 @@ import pytest
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'tactile-loc[sim]'")
 
 import controller
-from controller import MOST_GRASPS, Action, decide, list_placements, move
+from controller import MOST_GRASPS, Action, decide, find_chance, list_placements, move
 from planning_helpers import GEL
 from shapes import PARTS
 from trials import CLEARANCES_MM, MOST_OFF_M, MOST_OFF_RAD, list_trials
 
 from tactile_loc import PoseModes, Verdict
-from tactile_loc.plugin import invert, make_translation, rotation_angle
+from tactile_loc.plugin import invert, make_transform, make_translation, rotation_about, rotation_angle
 
 
 @pytest.mark.parametrize(
-    ("verdict", "grasps", "action"),
+    ("verdict", "chance", "grasps", "action"),
     [
-        (Verdict.CERTAIN, 1, Action.INSERT),
-        (Verdict.CERTAIN, MOST_GRASPS, Action.INSERT),
-        (Verdict.AMBIGUOUS, 1, Action.TOUCH),
-        (Verdict.POOR_FIT, 2, Action.TOUCH),
-        (Verdict.NOT_FOUND, MOST_GRASPS, Action.STOP),
+        (Verdict.CERTAIN, 0.8, 1, Action.INSERT),
+        (Verdict.CERTAIN, 0.8, MOST_GRASPS, Action.INSERT),
+        (Verdict.AMBIGUOUS, 0.8, 2, Action.INSERT),
+        (Verdict.AMBIGUOUS, 0.7, 1, Action.TOUCH),
+        (Verdict.AMBIGUOUS, 0.7, MOST_GRASPS, Action.STOP),
+        (Verdict.POOR_FIT, 0.9, 2, Action.TOUCH),
+        (Verdict.NOT_FOUND, 0.9, MOST_GRASPS, Action.STOP),
     ],
 )
-def test_the_controller_inserts_only_if_the_tip_is_known(verdict, grasps, action):
-    assert decide(verdict, grasps) is action
+def test_the_controller_inserts_only_if_the_tip_is_known(verdict, chance, grasps, action):
+    assert decide(verdict, chance, grasps) is action
+
+
+@pytest.mark.parametrize(
+    ("part", "shift_m", "yaw_deg", "works"),
+    [
+        ("peg", (0, 0, 2e-3), 0, True),  # along the hole, the arm gives way
+        ("peg", (0, 0, 4e-3), 0, False),
+        ("peg", (8e-4, 0, 0), 0, True),
+        ("peg", (1.2e-3, 0, 0), 0, False),
+        ("peg", (0, 0, 0), 90, True),
+        ("peg", (0, 0, 0), 12, False),
+        ("plug", (0, 0, 0), 90, False),
+        ("bolt", (0, 0, 0), 12, True),
+    ],
+)
+def test_other_poses_add_to_the_chance_if_the_insertion_works_with_them(part, shift_m, yaw_deg, works):
+    first = make_transform(rotation_about([1, 2, 3], 0.4), np.array([0.1, 0.2, 0.3]))
+    other = first @ make_transform(rotation_about([0, 0, 1], np.radians(yaw_deg)), np.array(shift_m))
+    listed = [SimpleNamespace(T_base_object=T, probability=p) for T, p in ((first, 0.5), (other, 0.3))]
+    chance = find_chance(SimpleNamespace(hypotheses=listed), PARTS[part]())
+    assert chance == pytest.approx(0.8 if works else 0.5)
 
 
 @pytest.mark.parametrize("name", PARTS)
