@@ -15,9 +15,7 @@ ABOVE_M, OVERSHOOT_M = 5e-3, 2e-3  # where the tip starts above the plate; how f
 LOWERING_M_S, SEARCH_M_S = 0.02, 0.03
 STOP_N = 40.0  # the arm stops at this force between part and plate, which counts as damage
 SEATED_M = 1e-3  # a part is inserted if at most this much of its depth is missing
-# An error along the hole that costs nothing: a higher part is seated nevertheless, and a lower one presses on the
-# bottom with a few newtons, because the arm is soft
-ALONG_M = SEATED_M + OVERSHOOT_M
+ALONG_M = SEATED_M + OVERSHOOT_M  # an error along the hole that costs nothing, because the arm is soft
 CONTACT_N, SEARCH_N, PUSH_N = 5.0, 8.0, 25.0  # of the blind search: at first contact, while it slides, at the end
 PITCH_M, SEARCH_RADIUS_M, FALL_M = 1e-3, 10e-3, 1.5e-3
 
