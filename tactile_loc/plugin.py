@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses.priors import Prior as Prior
     from tactile_loc.slots.renderer import Renderer as Renderer
     from tactile_loc.core.sensing.scene import Scene as Scene, View as View
-    from tactile_loc.slots.sensor import SensorModel as SensorModel
+    from tactile_loc.slots.sensor import DepthFiles as DepthFiles, SensorModel as SensorModel
     from tactile_loc.core.objects.mesh import ObjectModel as ObjectModel, TriangleMesh as TriangleMesh
     from tactile_loc.core.poses.metric import PoseGrid as PoseGrid, PoseMetric as PoseMetric
     from tactile_loc.core.geometry.rigid import Poses as Poses

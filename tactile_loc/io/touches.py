@@ -178,8 +178,10 @@ def read_touch(
     A calibrated sensor converts the image to a contact shape. The touch has the poses that the file gives. A file that
     states another kind of gel than the sensor's is logged as a warning.
 
-    `unit` ("m", "mm" or "um") is needed if a contact shape's file states no unit. `kind` is the meaning of its depths
-    if the file does not state it: see `Touch.from_depth`. The default is "distance". If the file states no press depth,
+    `unit` ("m", "mm" or "um") is needed if a contact shape's file states no unit and the sensor declares none. `kind`
+    is the meaning of its depths if the file does not state it: see `Touch.from_depth`. The default is what the sensor
+    declares, or "distance". A `unit` or a `kind` that contradicts the sensor's declaration is used, with a warning. If
+    the file states no press depth,
     `press_depth_m`, metres, is the press depth. By default, it is taken from the shape (see
     `contact_shape_from_array`). If the file states a press depth, the shape is cut at `press_depth_m`, which must be
     smaller. With the `kind` "mask", the file is a contact mask: see `Touch.from_mask`.
@@ -202,6 +204,8 @@ def read_touch(
     if contents.kind == MASK and kind is None:
         return _build_mask(path, contents, sensor, unit, press_depth_m)
     _compare_gels(contents.gel, geometry.gel, path)
+    unit = _find_declared("unit", contents.unit, unit, sensor.depth_files.unit, path)
+    kind = _find_declared("kind", contents.kind, kind, sensor.depth_files.kind, path)
     shape = _build_shape(contents, str(path), geometry, unit, press_depth_m, kind)
     return Touch(shape, geometry, path.name, to_array(contents.T_base_sensor), to_array(contents.T_sensor_object))
 
@@ -355,6 +359,22 @@ def _find_scale(contents: FileContents, name: str, unit: str | None) -> float:
     if known is None:
         raise TouchError(f"{name} has no unit; give the unit of its depths by `touch_unit`: {units}")
     return METRES_PER_UNIT[cast(DepthUnit, known)]
+
+
+def _find_declared(what: str, stated: str | None, given: str | None, declared: str | None, path: Path) -> str | None:
+    """Return what the caller gives or, if neither the caller nor the file states anything, what the sensor declares.
+
+    Warn if the caller contradicts the sensor.
+    """
+    if stated is not None or declared is None:
+        return given
+    if given not in (None, declared):
+        logger.warning(
+            "%s is read with the %s %s, as given, but the sensor declares %s for its files; leave `touch_%s` out if "
+            "the sensor's software wrote the file",
+            *(path, what, given, declared, what),
+        )
+    return given or declared
 
 
 def _choose(what: str, stated: str | None, given: str | None, name: str) -> str | None:

@@ -3,21 +3,38 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.sensing.depth_maps import DepthKind, DepthUnit
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.slots.component import Component
 
 
+@dataclass(frozen=True)
+class DepthFiles:
+    """The unit and the kind of the depths in a sensor's files, if the files do not state them. None declares nothing.
+
+    `kind` is the meaning of the depths, as in `Touch.from_depth`.
+    """
+
+    unit: DepthUnit | None = None
+    kind: DepthKind | None = None
+
+
 class SensorModel(Component):
-    """A tactile sensor: its geometry, and the conversion of observations to contact shapes."""
+    """A tactile sensor: its geometry, and the conversion of observations to contact shapes.
+
+    `depth_files` declares what the sensor's software writes, so that users need not state it.
+    """
 
     slot = "sensor"
+    depth_files: DepthFiles = DepthFiles()
 
     @property
     @abstractmethod

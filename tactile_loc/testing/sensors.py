@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc.core.sensing.depth_maps import KINDS, METRES_PER_UNIT
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.slots.sensor import SensorModel
+from tactile_loc.slots.sensor import DepthFiles, SensorModel
 from tactile_loc.testing.contract import ContractError, Untouched, check, require, require_close, require_equal
 from tactile_loc.testing.properties import hold, whole
 
@@ -30,6 +31,16 @@ def check_geometry(sensor: SensorModel) -> None:
     require(plausible, f"lengths are metres: a sensing surface of {size_mm:.4g} mm is implausible")
     deepest_mm = 1e3 * geometry.max_depth_m
     require(deepest_mm <= 50, f"lengths are metres: a maximal depth of {deepest_mm:.4g} mm is implausible")
+
+
+@check("sensor")
+def check_depth_files(sensor: SensorModel) -> None:
+    """`depth_files` declares known units and kinds, or nothing."""
+    declared = sensor.depth_files
+    require(isinstance(declared, DepthFiles), f"depth_files must be a DepthFiles, not {type(declared).__name__}")
+    for what, known in (("unit", tuple(METRES_PER_UNIT)), ("kind", KINDS)):
+        value = getattr(declared, what)
+        require(value is None or value in known, f"depth_files.{what} must be one of {', '.join(known)}, not {value!r}")
 
 
 @check("sensor")

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from message_helpers import naming
+from message_helpers import missing, naming
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -15,7 +15,7 @@ from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.io.touches import read_touch, write_touch
-from tactile_loc.slots.sensor import SensorModel
+from tactile_loc.slots.sensor import DepthFiles, SensorModel
 
 MM = 1e-3
 MAX_DEPTH_M = 2 * MM
@@ -302,6 +302,41 @@ def test_a_unit_is_never_guessed(tmp_path, dtype):
     refused(save_npz(tmp_path / "a.npz", depth=values), "`touch_unit`", unit=None)
     if dtype == np.uint16:
         refused(save_png(tmp_path / "a.png", values), "`touch_unit`", unit=None)
+
+
+@pytest.fixture
+def declaring() -> Sensor:
+    """A sensor whose software writes indentations in micrometres."""
+    sensor = Sensor()
+    sensor.depth_files = DepthFiles("um", "indentation")
+    return sensor
+
+
+@pytest.mark.parametrize("save", [save_png, save_npy, lambda path, values: save_npz(path, depth=values)])
+def test_a_sensor_declares_the_unit_and_the_kind_of_its_files(tmp_path, depth_m, declaring, caplog, save):
+    path = tmp_path / {save_png: "a.png", save_npy: "a.npy"}.get(save, "a.npz")
+    save(path, np.round((PRESS_DEPTH_M - depth_m) * 1e6).astype(np.uint16))
+    found = read_touch(path, declaring)
+    wanted = read_touch(path, SENSOR, "um", kind="indentation")
+    np.testing.assert_array_equal(found.contact_shape.depth_m, wanted.contact_shape.depth_m)
+    assert found.press_depth_m == pytest.approx(PRESS_DEPTH_M)
+    assert read_touch(path, declaring, "um", kind="indentation").press_depth_m == found.press_depth_m
+    assert caplog.messages == []
+
+
+def test_what_the_caller_states_wins_over_the_sensor_s_declaration_with_a_warning(tmp_path, depth_m, declaring, caplog):
+    path = save_npy(tmp_path / "a.npy", depth_m * 1e3)
+    found = read_touch(path, declaring, "mm", kind="distance")
+    assert found.press_depth_m == pytest.approx(PRESS_DEPTH_M)
+    assert len(caplog.messages) == 2
+    assert not missing(caplog.messages[0], "a.npy", "unit mm", "declares um", "`touch_unit`")
+    assert not missing(caplog.messages[1], "kind distance", "declares indentation", "`touch_kind`")
+
+
+def test_what_a_file_states_wins_over_the_sensor_s_declaration(tmp_path, touch, declaring, caplog):
+    found = read_touch(write_touch(tmp_path / "a.npz", touch), declaring)
+    np.testing.assert_array_equal(found.contact_shape.depth_m, touch.contact_shape.depth_m)
+    assert caplog.messages == []
 
 
 def test_contradicting_units_are_refused(tmp_path, touch):

@@ -29,6 +29,7 @@ from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.sensors.presets import GelSlim
 from tactile_loc.slots.component import Capabilities
+from tactile_loc.slots.sensor import DepthFiles
 from tactile_loc.testing import contract, encoders, fusers, grids, matchers, refiners, renderers, sensors
 from tactile_loc.testing.problems import ReferenceRenderer, make_plain_object
 
@@ -105,6 +106,7 @@ SENSOR = [
     (sensors.check_depths_are_kept, then(GelSlim, "contact_shape", flipped)),
     (sensors.property_image_size, made(GelSlim, contact_shape=cut_out)),
     (sensors.check_geometry, made(GelSlim, geometry=property(lambda self: in_millimetres(self._geometry)))),
+    (sensors.check_depth_files, made(GelSlim, depth_files=DepthFiles(unit="inch"))),
     (sensors.check_contact_shape, then(GelSlim, "contact_shape", lambda s, _: ContactShape(s.depth_m[::2], 2e-3))),
     (sensors.check_contact_shape, then(GelSlim, "contact_shape", lambda s, _: deeper(s, 1.5))),
     (sensors.check_depths_are_kept, then(GelSlim, "contact_shape", lambda s, _: deeper(s, 0.9))),
