@@ -47,6 +47,7 @@ from tactile_loc.slots.registry import registry
 from tactile_loc.store.files import lock_folder, write_json
 
 QUANTILES_M = (3e-4, 5e-4, 1e-3, 2e-3, 3e-3)  # tolerances to which the model of outcomes was fitted
+EXPLAINED = -0.5  # excess of a touch that four in five right poses do not exceed
 LEAST_BETTER = 0.1  # gain of imprint IoU without a prior by which the prior contradicts the touches
 LEAST_AGREEING = 3  # two of three touches may agree by chance, if sensor poses are wrong
 
@@ -266,7 +267,8 @@ class Localization:
         least `confidence`. It is never certain if a touch has no depths, if the pose has no covariance, or if the prior
         makes it very improbable. The verdict is "poor fit" if the pose explains a touch worse than right poses do, or
         if touches contradict each other, unless at least LEAST_AGREEING of them agree. If probably none of the poses is
-        right, it is "not found", or "ambiguous" if the freedom that the touches leave is known.
+        right, it is "not found", or "ambiguous" if the first one explains the touches well and what they leave open is
+        known.
         """
         if self.assessed is not None:
             return self.assessed.verdict
@@ -274,8 +276,10 @@ class Localization:
             return Verdict.POOR_FIT
         sure = self.depths_known and not self.unexpected and self.best.covariance is not None
         verdict = judge(self.outcome, sure=sure, poor=bool(self.poor_touches), least=self.confidence)
-        known = verdict is Verdict.NOT_FOUND and self.outcome is not None and str(self.freedom)
-        return Verdict.AMBIGUOUS if known else verdict
+        if verdict is Verdict.NOT_FOUND and self.evidence is not None and str(self.freedom):
+            explained = load_outcome_model().measure_excess(self.evidence).max() <= EXPLAINED
+            return Verdict.AMBIGUOUS if explained else verdict
+        return verdict
 
     @property
     def confidence(self) -> float:

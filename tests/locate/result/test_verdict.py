@@ -14,6 +14,7 @@ from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.options import CERTAIN
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.probability.outcome_model import load_outcome_model
 from tactile_loc.locate.result.localization import QUANTILES_M, Agreement, Localization
 from tactile_loc.locate.result.verdict import (
     CHECK_SENSOR_POSES,
@@ -78,6 +79,9 @@ def test_a_result_is_judged_by_its_outcome_and_by_what_its_first_pose_leaves_une
         replace(certain, hypotheses=certain.hypotheses[:1], evidence=alone, outcome=MISSED).verdict is Verdict.NOT_FOUND
     )
     assert replace(certain, outcome=MISSED).verdict is Verdict.AMBIGUOUS  # other poses explain the touch as well
+    more = -0.2 - load_outcome_model().measure_excess(certain.evidence).max()
+    worse = replace(certain.evidence, fits=certain.evidence.fits + more * (np.arange(9) == 0))
+    assert replace(certain, outcome=MISSED, evidence=worse).verdict is Verdict.NOT_FOUND  # but not this one
     assert replace(certain, outcome=None).verdict is Verdict.NOT_FOUND
     strict = replace(certain, config=certain.config.model_copy(update={"confidence": 0.99}))
     assert strict.verdict is Verdict.AMBIGUOUS
