@@ -276,7 +276,7 @@ class Localization:
             return Verdict.POOR_FIT
         sure = self.depths_known and not self.unexpected and self.best.covariance is not None
         verdict = judge(self.outcome, sure=sure, poor=bool(self.poor_touches), least=self.confidence)
-        if verdict is Verdict.NOT_FOUND and self.evidence is not None and str(self.freedom):
+        if verdict is Verdict.NOT_FOUND and self.outcome and self.evidence and str(self.freedom):
             explained = load_outcome_model().measure_excess(self.evidence).max() <= EXPLAINED
             return Verdict.AMBIGUOUS if explained else verdict
         return verdict
