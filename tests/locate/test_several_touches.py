@@ -16,6 +16,7 @@ from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
 from tactile_loc.io.config import SlotConfig
+from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.localizer import Localizer, compute_posterior_together, localize_together
 from tactile_loc.locate.outliers import require_within_reach
 from tactile_loc.locate.result.hypothesis import RefinedBy
@@ -138,8 +139,9 @@ class Idle(Refiner):
 
 
 def choose(localizer, refiner: str) -> Localizer:
-    """The localizer with another refiner."""
-    chosen = localizer.config.model_copy(update={"refiner": SlotConfig(name=refiner)})
+    """The localizer with another refiner, which refines few poses, for speed."""
+    few = HypothesisOptions(refined_together=8)
+    chosen = localizer.config.model_copy(update={"refiner": SlotConfig(name=refiner), "hypotheses": few})
     return Localizer(chosen, localizer.object, localizer.store)
 
 
