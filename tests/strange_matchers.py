@@ -44,6 +44,7 @@ class Stranger:
     """The entry point of a plugin that offers all these matchers."""
 
     name = value = "strange"
+    group = module.PROJECT
     dist = SimpleNamespace(name="strange-matchers")
 
     def load(self) -> Any:
@@ -53,8 +54,8 @@ class Stranger:
 @contextmanager
 def installed() -> Iterator[None]:
     """Install all these matchers beside the built-in components."""
-    found = [point for point in module.entry_points(group=module.PROJECT) if module._is_built_in(point)]
-    with patch.object(module, "entry_points", lambda group: [*found, Stranger()]):
+    found = [point for point in module.find_plugins() if module._is_built_in(point)]
+    with patch.object(module, "find_plugins", lambda: [*found, Stranger()]):
         registry.cache_clear()
         yield
     registry.cache_clear()

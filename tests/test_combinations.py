@@ -6,7 +6,6 @@ import importlib.util
 import itertools
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -18,6 +17,7 @@ import strange_matchers
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.slots import registry as registry_module
+from tactile_loc.slots.code import find_plugins
 from tactile_loc.slots.registry import PROJECT, registry
 from tactile_loc.store.store import StageStore
 
@@ -78,7 +78,7 @@ ROWS = pairwise(OPTIONS)
 class Outline:
     """The entry point of the contributed encoder, installed from its folder."""
 
-    name, value = "outline", "tactile_loc_outline"
+    name, value, group = "outline", "tactile_loc_outline", PROJECT
     dist = SimpleNamespace(name="tactile-loc-outline")
 
     def load(self) -> Any:
@@ -88,11 +88,11 @@ class Outline:
 @pytest.fixture(scope="module", autouse=True)
 def installed() -> Iterator[None]:
     """Install the contributed encoder and the strange matchers beside the built-in components."""
-    found = [point for point in entry_points(group=PROJECT) if registry_module._is_built_in(point)]
+    found = [point for point in find_plugins() if registry_module._is_built_in(point)]
     plugins = [*found, Outline(), strange_matchers.Stranger()]
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(OUTLINE))
-        patch.setattr(registry_module, "entry_points", lambda group: plugins)
+        patch.setattr(registry_module, "find_plugins", lambda: plugins)
         registry.cache_clear()
         yield
     registry.cache_clear()

@@ -23,7 +23,7 @@ from tactile_loc.core.runtime.errors import (
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.slots.component import Capabilities
 from tactile_loc.slots.interface import INTERFACE_VERSION
-from tactile_loc.slots.registry import SLOTS, ComponentSpec, Registry, hookimpl
+from tactile_loc.slots.registry import PROJECT, SLOTS, ComponentSpec, Registry, hookimpl
 from tactile_loc.testing import ContractError
 
 ROOT = Path(__file__).parents[1]
@@ -100,6 +100,7 @@ class FakeEntryPoint:
     requires: str = ""
     offers: str = "spline"
     interface: int = INTERFACE_VERSION
+    group: str = PROJECT
 
     @property
     def dist(self) -> Any:

@@ -35,6 +35,13 @@ _NAME = re.compile(r"[\w.]+|\*")
 Files = dict[str, Path]  # by the path from the folder of the top-level package or module
 
 
+def find_plugins() -> list[metadata.EntryPoint]:
+    """Return the entry points of plugins: those of the group `tactile_loc`, and of the groups `tactile_loc.SLOT`."""
+    found = metadata.entry_points()  # read once for all groups, because this reads many files
+    groups = sorted(group for group in found.groups if f"{group}.".startswith(f"{PACKAGE}."))
+    return [plugin for group in groups for plugin in found.select(group=group)]
+
+
 @cache
 def hash_code(name: str) -> str:
     """Return the SHA-256 (hex) of the file of a module, or of all files in the folder of a package.
@@ -182,7 +189,7 @@ def _list_shared_folders() -> set[Path]:
 def _list_installed_together(top: str) -> set[str]:
     """Return the names of the top-level packages and modules of the plugin's distribution that has `top`."""
     found = {top}
-    for plugin in metadata.entry_points(group=PACKAGE):
+    for plugin in find_plugins():
         files = (plugin.dist.files if plugin.dist else None) or []
         names = {Path(file.parts[0]).stem for file in files if file.suffix == ".py"}
         found |= names if top in names else set()

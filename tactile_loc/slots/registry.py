@@ -1,5 +1,7 @@
 """The registry of plugins, which are found by entry points.
 
+An entry point of the group `tactile_loc` names a module with hooks. One of the group `tactile_loc.SLOT` names a
+component's class itself.
 A component's class is imported at its first use, and a command's module when the command runs.
 """
 
@@ -16,7 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any, ClassVar
 
 import pluggy
@@ -28,12 +30,14 @@ from tactile_loc.core.runtime.errors import (
     UnknownPluginError,
     advise_choice,
 )
+from tactile_loc.slots.code import find_plugins
 from tactile_loc.slots.interface import INTERFACE_VERSION, explain_version, require_interface
 from tactile_loc.slots.options import validate_options
 
 PROJECT = "tactile_loc"
 SLOTS = ("sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser")
 COMMAND = "command"
+CLASS_INTERFACE = 2  # the version of the interface of classes that entry points name
 KEBAB_CASE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 hookspec = pluggy.HookspecMarker(PROJECT)
@@ -172,7 +176,11 @@ class Registry:
             self.failures.append(LoadFailure(plugin, distribution, reason))
 
     def _load_plugin(self, plugin: EntryPoint) -> list[Any]:
-        """Import a plugin, add the kinds that it defines, and return the specs that it offers."""
+        """Return the specs that a plugin offers. Import a module with hooks, and add the kinds that it defines."""
+        if plugin.group != PROJECT:
+            summary = plugin.dist.metadata["Summary"] if plugin.dist else ""
+            slot = plugin.group.removeprefix(f"{PROJECT}.")
+            return [ComponentSpec(slot, plugin.name, plugin.value, summary or "", interface=CLASS_INTERFACE)]
         manager = pluggy.PluginManager(PROJECT)
         manager.add_hookspecs(sys.modules[__name__])
         manager.register(plugin.load())
@@ -308,7 +316,7 @@ def registry() -> Registry:
     TACTILE_LOC_PLUGINS is a comma-separated list of entry-point or distribution names. If it is not set, all plugins
     are allowed. If it is empty, none is allowed.
     """
-    found = list(entry_points(group=PROJECT))
+    found = find_plugins()
     wanted = os.environ.get("TACTILE_LOC_PLUGINS")
     if wanted is not None:
         allowed = {name.strip() for name in wanted.split(",")} | {BUILT_IN}

@@ -49,6 +49,7 @@ class Stranger:
     """The entry point of a plugin that offers the matchers above."""
 
     name = value = "strange"
+    group = registry.PROJECT
     dist = SimpleNamespace(name="strange-matchers")
 
     def load(self) -> Any:

@@ -214,7 +214,7 @@ def test_the_hash_does_not_depend_on_the_folder_or_on_line_endings(elsewhere, he
     ("module", "changed"),
     [
         ("plugins/refiners/filterreg/kernels", {"refiner filterreg"}),
-        ("core/registration/equations", {"refiner joint"}),
+        ("plugins/refiners/joint", {"refiner joint"}),
         ("bases/exact_matcher", {"matcher dense"}),
         ("slots/refiner", {"refiner joint", "refiner filterreg"}),
         ("core/geometry/rigid", set(BUILT_IN)),

@@ -95,16 +95,36 @@ def test_an_unknown_name_or_slot_gives_an_error_with_those_that_exist(slot, name
         registry().find(slot, name)
 
 
+NO_REFINER = """
+from tactile_loc.plugins.refiners.none import NoRefiner
+class Acme(NoRefiner):
+    pass
+"""
+
+
+def test_an_entry_point_may_name_a_class_which_is_imported_only_when_it_is_loaded(install, tmp_path):
+    install("acme-tools", acme_impl=NO_REFINER)
+    info = tmp_path / "acme_tools-1.0.dist-info"
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: acme-tools\nVersion: 1.0\nSummary: moves nothing\n")
+    (info / "entry_points.txt").write_text("[tactile_loc.refiner]\nacme = acme_impl:Acme\nlost = acme_impl:Lost\n")
+    found = registry().find("refiner", "acme")
+    assert (found.distribution, found.spec.summary) == ("acme-tools", "moves nothing")
+    assert "acme_impl" not in sys.modules
+    assert registry().create("refiner", "acme").describe()["class"] == "acme_impl:Acme"
+    with pytest.raises(PluginLoadError, match=r"'lost' of acme-tools.*Lost"):
+        registry().load("refiner", "lost")
+
+
+def test_an_entry_point_of_an_unknown_slot_is_a_failure(install, tmp_path):
+    install("acme-tools", acme_impl=NO_REFINER)
+    points = tmp_path / "acme_tools-1.0.dist-info" / "entry_points.txt"
+    points.write_text("[tactile_loc.polisher]\na = acme_impl:Acme\n")
+    (failure,) = registry().failures
+    assert "the slots are" in failure.error
+
+
 def test_a_plugin_component_is_imported_only_when_it_is_loaded(install):
-    install(
-        "acme-tools",
-        acme_plugin=hook(spec("refiner", "acme", "acme_impl:Acme")),
-        acme_impl="""
-        from tactile_loc.plugins.refiners.none import NoRefiner
-        class Acme(NoRefiner):
-            pass
-        """,
-    )
+    install("acme-tools", acme_plugin=hook(spec("refiner", "acme", "acme_impl:Acme")), acme_impl=NO_REFINER)
     found = registry().find("refiner", "acme")
     assert found.distribution == "acme-tools"
     assert "acme_impl" not in sys.modules
