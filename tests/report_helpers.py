@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.evaluation.fusion import FUSION_LINES
+from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES
 from tactile_loc.evaluation.jobs import JobOutcome
 from tactile_loc.evaluation.metrics import METRICS as RECALL_METRICS
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
@@ -76,12 +76,12 @@ CONTACTS = (1, 2, 5)
 def make_contact_table(name: str, encoder: str, seed: int, examples: int = 40) -> ExampleTable:
     """Examples whose errors fall with the number of contacts; four have no pose common to five contacts."""
     rng = np.random.default_rng(seed)
-    scales = 1e-3 * np.array([[20, 40, 40], [5, 30, 40], [2, 15, 40]])
-    errors_m = (scales * rng.uniform(0.5, 1.5, (examples, 3, 3))).reshape(-1, 3, 1)
+    scales = 1e-3 * np.array([[20, 19, 40, 40], [5, 4, 30, 40], [2, 1, 15, 40]])
+    errors_m = (scales * rng.uniform(0.5, 1.5, (examples, 3, 4))).reshape(-1, 4, 1)
     example, touches = np.repeat(np.arange(examples), 3), np.tile(CONTACTS, examples)
     alone = (example < 4) & (touches == 5)
     return ExampleTable.make(
-        {**name_errors(errors_m, FUSION_LINES, ("add",)), "best-1 alone": alone, "kinematic alone": alone},
+        {**name_errors(errors_m, FUSION_LINES, ("add",)), **{f"{line} alone": alone for line in FUSED_LINES}},
         object=name, symmetry="none", encoder=encoder, noise="mild", seed=1, grid_poses=1000, touches=touches,
         example=example, refused=2,
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import PosePosterior, require_pose_left
+from tactile_loc.core.runtime.compiled import use_one_blas_thread
 from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import PoseJudge
 from tactile_loc.evaluation.protocol import describe_located, label_run, measure_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
@@ -23,9 +26,9 @@ from tactile_loc.slots.fuser import Fuser
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import StageKey
 
-FUSION_VERSION = 2  # increase if the same localizer gets other results
-FUSION_LINES = ("best-1", "kinematic", "random")
-FUSED_LINES = FUSION_LINES[:2]
+FUSION_VERSION = 3  # increase if the same localizer gets other results
+FUSION_LINES = ("best-1", "reg-1", "kinematic", "random")
+FUSED_LINES = FUSION_LINES[:3]
 MOST_FUSED = 20
 SHARD = 10  # examples located and saved at once
 ARRAYS = ("errors_m", "alone", "refused")
@@ -37,8 +40,9 @@ def evaluate_fusion(
     """Locate `count` examples from each number of `contacts`, with the localizer's fuser and the kinematic fuser.
 
     The table has a row for each example and number of contacts, with the ADD of FUSION_LINES, symmetric poses equal.
-    The column "LINE alone" marks examples in which a line of FUSED_LINES found no pose common to all contacts, and used
-    only the first contact. `refused` is the number of presses of an example that made no touch; they do not count.
+    The line reg-1 is best-1, refined to all contacts. The column "LINE alone" marks examples in which a line of
+    FUSED_LINES found no pose common to all contacts, and used only the first contact. `refused` is the number of
+    presses of an example that made no touch; they do not count.
 
     Example e has the touches MOST_FUSED e, MOST_FUSED e + 1, ... of `touches`. So an example with more contacts has the
     same touches and further ones. The object is at rest, and the touches' true poses give the sensor poses.
@@ -73,7 +77,11 @@ def sort_numbers(given: Sequence[int], what: str) -> tuple[int, ...]:
 
 def make_fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:
     """Return the store key of an evaluation, made from all inputs of its errors."""
-    own: dict[str, Any] = {"kinematic": _make_kinematic().describe(), "contacts": list(contacts)}
+    own: dict[str, Any] = {
+        "kinematic": _make_kinematic().describe(),
+        "contacts": list(contacts),
+        "refiner": localizer.refinement.refiner.describe(),
+    }
     return StageKey("contact-evaluation", FUSION_VERSION, {**describe_located(localizer, touches, count), **own})
 
 
@@ -90,15 +98,15 @@ class _FusedExamples:
         name = self.localizer.object.name
         task = f"locating {name} by contacts, examples {numbers[0] + 1} to {numbers[-1] + 1}"
         with self.localizer.progress.task(task, len(numbers)) as advance:
-            posteriors, poses, refused = self._locate_touches(numbers)
+            posteriors, touches, refused = self._locate_touches(numbers)
             rows = []
-            for example in zip(numbers, posteriors, poses, strict=True):
+            for example in zip(numbers, posteriors, touches, strict=True):
                 rows.append(self._locate_example(*example))
                 advance(1)
         return [*(np.stack(column) for column in zip(*rows, strict=True)), refused]
 
-    def _locate_touches(self, numbers: range) -> tuple[list[list[PosePosterior]], list[Poses], NDArray[np.int64]]:
-        """Return each example's posteriors and true poses (M, 4, 4), metres, and the refused presses (E,)."""
+    def _locate_touches(self, numbers: range) -> tuple[list[list[PosePosterior]], list[list[Touch]], NDArray[np.int64]]:
+        """Return each example's posteriors and touches, and the refused presses (E,)."""
         most = self.contacts[-1]
         drawn = [self.source.draw_counted(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
         touches = [touch for touch, _ in drawn]
@@ -107,25 +115,36 @@ class _FusedExamples:
         for i in sorted(range(len(touches)), key=lambda i: touches[i].press_depth_m):  # one bank after the other
             found[i] = self.localizer.posteriors([touches[i]])[0]
         starts = range(0, len(touches), most)
-        poses = [np.stack([require_true_pose(touch) for touch in touches[i : i + most]]) for i in starts]
-        return [[found[i + k] for k in range(most)] for i in starts], poses, refused
+        return [[found[i + k] for k in range(most)] for i in starts], [touches[i : i + most] for i in starts], refused
 
     def _locate_example(
-        self, number: int, posteriors: Sequence[PosePosterior], truths: Poses
+        self, number: int, posteriors: Sequence[PosePosterior], touches: Sequence[Touch]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return one example's errors (C, L), metres, and a mask (C, 2) of the fusers that found no common pose."""
-        grid = posteriors[0].grid
+        """Return one example's errors (C, L), metres, and a mask (C, 3) of the lines that found no common pose."""
+        grid, T_base_sensor = posteriors[0].grid, invert(np.stack([require_true_pose(touch) for touch in touches]))
+        resting = [replace(touch, T_base_sensor=T) for touch, T in zip(touches, T_base_sensor, strict=True)]
         rng = np.random.default_rng(self.source.seed_touch(MOST_FUSED * number, 1))
         guesses = rng.integers(len(grid), size=MOST_FUSED)
-        lots = rng.random((MOST_FUSED, len(FUSED_LINES)))
-        chosen, alone = [], []
+        lots = rng.random((MOST_FUSED, len(self._fusers)))
+        poses, alone = [], []
         for n in self.contacts:
-            fused = [_fuse(fuser, posteriors[:n], invert(truths[:n])) for fuser in self._fusers]
-            chosen += [_draw(posterior, lot) for (posterior, _), lot in zip(fused, lots[n - 1], strict=True)]
-            chosen.append(int(guesses[n - 1]))
-            alone.append([without for _, without in fused])
-        errors = compute_adds(self.localizer.object, self._points_m, grid.T_sensor_object[chosen], truths[0])
+            fused = [_fuse(fuser, posteriors[:n], T_base_sensor[:n]) for fuser in self._fusers]
+            best, kinematic = (_draw(posterior, lot) for (posterior, _), lot in zip(fused, lots[n - 1], strict=True))
+            (posterior, without), (_, without_kinematic) = fused
+            refined = self._refine(resting[: 1 if without else n], posterior, best)
+            T, guess = grid.T_sensor_object, guesses[n - 1]
+            poses += [T[best], refined, T[kinematic], T[guess]]
+            alone.append([without, without, without_kinematic])
+        truth = require_true_pose(touches[0])
+        errors = compute_adds(self.localizer.object, self._points_m, np.stack(poses), truth)
         return errors.reshape(len(self.contacts), len(FUSION_LINES)), np.array(alone)
+
+    @use_one_blas_thread()
+    def _refine(self, touches: Sequence[Touch], posterior: PosePosterior, index: int) -> NDArray[np.float64]:
+        """Return a grid pose (4, 4), metres, refined to touches of the object at rest."""
+        candidate = Candidate(posterior.grid.T_sensor_object[index], index, float(posterior.log_p[index]))
+        (refined,) = self.localizer.refinement.refine(self.localizer.make_views(touches), [candidate])
+        return refined.T_sensor_object
 
     @cached_property
     def _fusers(self) -> tuple[Fuser, Fuser]:

@@ -221,8 +221,8 @@ def draw_reliability(table: ExampleTable, title: str) -> Figure:
 def draw_contacts(table: ExampleTable, title: str) -> Figure:
     """Draw a panel for each object: median and quartiles of the normalised error against the number of contacts.
 
-    The lines are best-1 of each encoder, and kinematic of the first encoder. The error axis is logarithmic; a second
-    axis on the right is in mm.
+    The lines are best-1 and reg-1 of each encoder, and kinematic of the first encoder. The error axis is logarithmic;
+    a second axis on the right is in mm.
     """
     figure, panels, colours = _make_object_panels(table, title, (4.4, 3.4))
     for (name,), some in table.group("object").items():
@@ -237,6 +237,7 @@ def _draw_fused_object(axes: Axes, table: ExampleTable, colours: dict[str, str])
     _draw_line(axes, first, "kinematic", "kinematic", color=KINEMATIC, marker="s")
     for (encoder,), run in runs.items():
         _draw_line(axes, run, "best-1", f"best-1, {encoder}", color=colours[encoder], marker="o")
+        _draw_line(axes, run, "reg-1", f"reg-1, {encoder}", color=colours[encoder], marker="D", ls=(0, (4, 2)))
     axes.axhline(1.0, color=RANDOM, lw=1, ls=(0, (5, 3)), label="random pose, mean")
     axes.set_yscale("log")
     axes.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS])

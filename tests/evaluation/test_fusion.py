@@ -10,7 +10,7 @@ from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.evaluation.fusion import FUSION_LINES, MOST_FUSED, evaluate_fusion, make_fusion_key
+from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, MOST_FUSED, evaluate_fusion, make_fusion_key
 from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.table import ExampleTable
@@ -25,8 +25,8 @@ SOURCE = SimulatedTouches("strong", 3)
 
 def fresh(store: StageStore, **settings) -> Localizer:
     grid, sensor = {"name": "face", "spacing_mm": 8}, {"name": "gelslim", "gel": "rigid"}
-    settings = {"temperature": 0.05, **settings}  # no temperature is fitted
-    return Localizer.create("elbow_pipe", grid=grid, sensor=sensor, refiner="none", store=store, **settings)
+    settings = {"temperature": 0.05, "refiner": "none", **settings}  # no temperature is fitted
+    return Localizer.create("elbow_pipe", grid=grid, sensor=sensor, store=store, **settings)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def count_alone(table: ExampleTable, line: str, contacts: int) -> int:
 def assert_same(a: ExampleTable, b: ExampleTable) -> None:
     """Both have the same results for the examples of the first."""
     b = b.select(b["example"] <= a["example"].max())
-    for name in (*(f"{line} add_m" for line in FUSION_LINES), "best-1 alone", "kinematic alone"):
+    for name in (*(f"{line} add_m" for line in FUSION_LINES), *(f"{line} alone" for line in FUSED_LINES)):
         assert (a[name] == b[name]).all()
 
 
@@ -92,6 +92,14 @@ def test_errors_are_those_of_the_single_touch_and_of_the_fused_posterior(evaluat
     touches = [SOURCE.draw_touch(pipe, MOST_FUSED * 2 + k) for k in range(4)]
     fused = pipe.fuser.fuse([pipe.posteriors([t])[0] for t in touches], [invert(t.T_sensor_object) for t in touches])
     assert errors_m(evaluation, "best-1", 4)[2] == pytest.approx(measure_error_m(fused, touches[0]), rel=0.03)
+
+
+def test_refinement_to_all_contacts_reduces_the_error(evaluation, store):
+    refined = fresh(store, refiner="joint")
+    found = evaluate_fusion(refined, (1, 4), COUNT, SOURCE)
+    assert (errors_m(evaluation, "reg-1", 4) == errors_m(evaluation, "best-1", 4)).all()
+    assert (errors_m(found, "best-1", 4) == errors_m(evaluation, "best-1", 4)).all()
+    assert np.median(errors_m(found, "reg-1", 4)) < 0.5 * np.median(errors_m(found, "best-1", 4))
 
 
 def test_more_contacts_reduce_the_error_and_kinematic_errors_stay_large(pipe):
@@ -154,10 +162,11 @@ def test_the_key_contains_every_input_that_changes_the_errors(pipe):
         return make_fusion_key(local, contacts, count, source).digest
 
     others = [digest(contacts=(1, 2)), digest(count=7), digest(source=SimulatedTouches("mild", 3))]
-    for settings in ({"fuser": {"name": "product", "doubt": 0.1}}, {"encoder": {"name": "pixel", "cells": 10}}):
+    fuser, encoder = {"name": "product", "doubt": 0.1}, {"name": "pixel", "cells": 10}
+    for settings in ({"fuser": fuser}, {"encoder": encoder}, {"refiner": "icp"}):
         others.append(digest(fresh(pipe.store, **settings)))
     assert digest() == digest(fresh(pipe.store))
-    assert len({digest(), *others}) == 6
+    assert len({digest(), *others}) == 7
 
 
 @pytest.mark.parametrize("contacts", [(), (0, 1), (1, MOST_FUSED + 1), (-2,)])

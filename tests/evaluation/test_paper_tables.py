@@ -144,7 +144,7 @@ def test_contacts_have_their_medians_in_every_file(tmp_path):
     written = paper_tables.collect_contacts(list(map(EvaluatedRun, tables)), {"examples": 40}, "Title").write(tmp_path)
     assert [path.name for path in written] == ["contacts.json", "contacts.csv", "contacts.md"]
     table, (document, rows, text) = tables[0], (path.read_text() for path in written)
-    header, best, kinematic, *_ = paper_tables.tabulate_contacts(paper_tables.summarise_lines(table, FUSED_LINES))
+    header, best, _, kinematic, *_ = paper_tables.tabulate_contacts(paper_tables.summarise_lines(table, FUSED_LINES))
     assert header == ["object", "encoder", "line", "1 contact", "2 contacts", "5 contacts"]
     assert (best[:3], kinematic[:3]) == (["pin", "pixel", "best-1"], ["pin", "pixel", "kinematic"])
     scale_m = table.errors_m("random", "add").mean()

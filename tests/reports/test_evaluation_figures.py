@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from report_helpers import CONTACTS, make_contact_table, make_recall_runs, make_touch_table
 
+from tactile_loc.evaluation.fusion import FUSED_LINES
 from tactile_loc.evaluation.paper_tables import normalise_errors, summarise_lines
 from tactile_loc.evaluation.protocol import LINES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
@@ -123,13 +124,13 @@ def test_each_object_has_a_panel_with_medians_and_quartiles():
     figure = draw_contacts(ExampleTable.join(runs), "the title")
     assert [axes.get_title().split()[0] for axes in panels(figure)] == ["pin", "hook"]
     for axes, run in zip(panels(figure), runs, strict=True):
-        for label, line in (("best-1", "best-1"), ("kinematic", "kinematic")):
-            curve = next(c for c in axes.lines if c.get_label().startswith(label))
+        for line in FUSED_LINES:
+            curve = next(c for c in axes.lines if c.get_label().startswith(line))
             assert tuple(curve.get_xdata()) == CONTACTS
             np.testing.assert_allclose(
                 curve.get_ydata(), [row["median_normalised"] for row in summarise_lines(run, [line])]
             )
-        assert len(axes.collections) == 2
+        assert len(axes.collections) == len(FUSED_LINES)
         assert axes.get_yscale() == "log"
         assert axes.get_xlabel() == "number of contacts"
         assert "mm" in axes.get_title()
@@ -142,8 +143,8 @@ def test_encoders_have_different_lines_and_kinematic_is_drawn_once():
     figure = draw_contacts(ExampleTable.join(runs), "t")
     (axes,) = panels(figure)
     curves = [c for c in axes.lines if tuple(c.get_xdata()) == CONTACTS]
-    assert len(curves) == 3
-    assert len({c.get_color() for c in curves}) == 3
+    assert len(curves) == 5
+    assert len({(c.get_color(), c.get_linestyle()) for c in curves}) == 5
     words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
     for word in ("pixel", "other", "kinematic", "random"):
         assert word in words

@@ -183,7 +183,7 @@ def test_the_page_of_what_run_answers_is_drawn_and_its_menus_work(show, recall_f
 def test_the_page_of_several_contacts_is_drawn(show, contacts_folder):
     browser = show(contacts_folder)
     medians = "return document.getElementById('curves').data.filter(t => t.mode === 'lines+markers').length"
-    assert browser.execute_script(medians) == 3
+    assert browser.execute_script(medians) == 4
     choose(browser, "line", "best-1")
     assert browser.execute_script(medians) == 1
 
