@@ -6,7 +6,7 @@ unseen objects at random poses, at the sensor's deepest press, under the nominal
 RMS over the whole image and over the contact. IoU is the overlap of the contact's mask with the true mask. Times are
 medians on this machine. The output is a Markdown table.
 
-With `--locate N`, the objects are also located from N images by the protocol of `tactile-loc evaluate --paper`, and
+With `--locate N`, the objects are also located from N images by the protocol of `tactile-loc paper`, and
 from clean contact shapes of the same touches. A second table has the results for each `--encoder`, on grids of about
 `--poses` poses.
 """

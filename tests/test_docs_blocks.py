@@ -67,6 +67,7 @@ CHEAPER = {
     "build": [*COARSE, *SURE],
     "simulate": [*COARSE, "--count", "2"],
     "evaluate": [*COARSE, *SURE, "--count", "2"],
+    "paper": [*COARSE, *SURE, "--count", "2"],
     "calibrate": ["-o", "steps=20", "-o", "hidden=4"],
     "mount": ["-o", "temperature=0.001", "-o", "grid.directions=300"],
     "replay": [*COARSE, "-o", "temperature=0.001"],
@@ -220,7 +221,7 @@ def run(words: list[str]) -> None:
         cheaper = ["-o", "epochs=1", "-o", "channels=4", "--presses", "5"]
     if "library" in words and words[1] == "identify":  # the grid of a library is fixed
         cheaper = ["-o", "temperature=0.05"]
-    if words[1] == "evaluate" and "--object" not in words:
+    if words[1] in ("evaluate", "paper") and "--object" not in words:
         cheaper = [*cheaper, "--object", "pin", "--object", "head"]  # of the six
     done = CliRunner().invoke(app, [*words[1:], *cheaper], prog_name="tactile-loc")
     uncertain = done.exit_code == 3 and "--require" in words  # that is no fault of the page

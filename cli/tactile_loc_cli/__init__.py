@@ -10,6 +10,7 @@ COMMANDS = (
     ("build", "commands.build:build", "Build an object's model ahead of time."),
     ("simulate", "commands.simulate:simulate", "Simulate touches with known poses."),
     ("evaluate", "evaluate.command:evaluate", "Measure how often `run` is right."),
+    ("paper", "evaluate.paper:paper", "Measure the errors that the paper reports."),
     ("sweep", "commands.sweep:sweep", "Evaluate every combination of components."),
     ("report", "commands.report:report", "Show a result as one HTML file."),
     ("live", "commands.live:live", "Locate an object in each frame as it arrives."),

@@ -29,7 +29,7 @@ COMMANDS = {
     "train": f"build --object pin {GRID} {MOCO} {SURE}",
     "calibrate": "calibrate --simulated --presses 40 --sensor small.toml --estimator cnn -o channels=4 -o epochs=6 "
                  "--out mine",
-    "evaluate": f"evaluate --paper --object pin --object head {GRID} --refiner none --count 6 --out measured",
+    "paper": f"paper --object pin --object head {GRID} --refiner none --count 6 --out measured",
     "sweep": "sweep --object pin,head --sensor flat.toml --refiner none,icp --count 2 -o grid.spacing_mm=8 "
              "--workers 1 --out swept",
     "live": f"live touches --object pin {GRID} {SURE} --once --no-view --out found.jsonl",

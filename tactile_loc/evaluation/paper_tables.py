@@ -1,4 +1,8 @@
-"""The results of the paper's protocol, by touch and by number of contacts, as tables, and as JSON in SI units."""
+"""The results of the paper's protocol, by touch and by number of contacts, as tables, and as JSON in SI units.
+
+The paper is Bauza et al., Tactile Object Pose Estimation from the First Touch with Geometric Contact Rendering (CoRL
+2020). PUBLISHED has its own results.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +32,19 @@ from tactile_loc.evaluation.text_tables import (
     tabulate,
 )
 
-TOUCH_SCHEMA, CONTACTS_SCHEMA = 3, 2
+TOUCH_SCHEMA, CONTACTS_SCHEMA, PAPER_SCHEMA = 3, 2, 1
+PUBLISHED: Mapping[str, Mapping[str, float]] = {  # the paper's normalised medians, by demo object and line
+    "pin": {"best-1": 0.11},
+    "damping_pin": {"best-1": 0.16},
+    "head": {"best-1": 0.18},
+    "elbow_pipe": {"best-1": 0.87, "best-10": 0.26, "best-50": 0.08},
+}
+PAPER_LINES = ("best-1", "reg-1", "best-10", "reg-10", "best-50", "closest", "random")
 SHOWN = tuple(line for line in LINES if line != "random-10")  # the lines in the summary
 JUDGED = ("best-1", "reg-1", "chosen")  # tabulated separately for unambiguous touches
 AREAS = (0.0, 0.01, 0.02, 0.05, 0.15, 1.0)  # limits of contact areas, as shares of the observed pixels
 AREA_LINE, WITHIN_M = "chosen", 1e-3  # the line and the limit of error that are tabulated by contact area
 SHARE_TITLE = "median ADD divided by the mean ADD of random poses"
-AREA_TITLE = "by contact area, % of the sensor: median ADD of chosen, mm, share within 1 mm, (number of touches)"
-AMBIGUITY_TITLE = "share of ambiguous touches; median ADD of all touches and of the unambiguous ones, mm"
-COVERAGE_TITLE = "coverage: share of true poses in the credible sets; means of likelihood, entropy and expected error"
 SHARE_NOTE = "divided by the mean error of a random pose. Symmetric poses count as equal."
 AREA_NOTE = (
     "By contact area, the share of the sensor in contact: the median ADD of `chosen` in mm, the share of touches "
@@ -55,10 +63,15 @@ COVERAGE_NOTE = (
     "pose:"
 )
 CONTACTS_NOTE = (
-    f"ADD of the most probable pose in mm and, in brackets, {SHARE_NOTE} `kinematic` uses contact only, and takes one "
-    "of the poses that touch all sensors. Without common pose: examples in which no grid pose touches all sensors; "
-    "they are located from the first contact only."
+    f"ADD of the most probable pose in mm and, in brackets, {SHARE_NOTE} `reg-1` is this pose, "
+    "refined to all contacts. `kinematic` uses contact only, and takes one of the poses that touch all sensors. "
+    "Without common pose: examples in which no grid pose touches all sensors; they are located from the first contact "
+    "only."
 )
+BY_LINE = (
+    "Median ADD from one touch, divided by the mean ADD of a random pose. Rows `paper` are the paper's own numbers:"
+)
+BY_CONTACTS = "The same by number of contacts:"
 
 
 def find_scale_m(table: ExampleTable, metric: str = "add") -> float:
@@ -264,11 +277,10 @@ def collect_touches(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], h
     tables = [
         NotedTable("", f"Median ADD in mm and, in brackets, {SHARE_NOTE}", tabulate_medians(lines)),
         NotedTable("median ADD, mm", "", tabulate_medians(lines, format_median)),
-        NotedTable(SHARE_TITLE, "", tabulate_medians(lines, format_share_of_random)),
-        NotedTable(AMBIGUITY_TITLE, AMBIGUITY_NOTE, tabulate_ambiguity(touches, lines)),
-        NotedTable(AREA_TITLE, AREA_NOTE, tabulate_areas(touches)),
+        NotedTable("", AMBIGUITY_NOTE, tabulate_ambiguity(touches, lines)),
+        NotedTable("", AREA_NOTE, tabulate_areas(touches)),
         NotedTable("", "Median time of each stage, ms:", tabulate_times(touches)),
-        NotedTable(COVERAGE_TITLE, COVERAGE_NOTE, tabulate_posteriors(touches)),
+        NotedTable("", COVERAGE_NOTE, tabulate_posteriors(touches)),
     ]
     others = {f"median {metric.upper()}": _find_medians(lines, metric) for metric in ("mssd", "add-s")}
 
@@ -314,11 +326,7 @@ def collect_contacts(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], 
         summary=summarise_lines(table, FUSION_LINES),
         examples=table.describe(),
     )
-    tables = [
-        NotedTable("", f"{CONTACTS_NOTE}\n\nMedians:", tabulate_contacts(rows)),
-        NotedTable("median ADD by number of contacts, mm", "", tabulate_contacts(rows, format_median)),
-        NotedTable(SHARE_TITLE, "", tabulate_contacts(rows, format_share_of_random)),
-    ]
+    tables = [NotedTable("", f"{CONTACTS_NOTE}\n\nMedians:", tabulate_contacts(rows))]
 
     def list_cells(row: Row) -> Row:
         shares = _list_shares(row, ("median", "mean", "std"))
@@ -331,3 +339,48 @@ def collect_contacts(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], 
 
     details = _list_details(table, rows, list_cells, describe)
     return EvaluationResults("contacts", heading, document, _leave_out(rows, "metric"), tables, details)
+
+
+# ---- beside the paper
+
+
+def collect_paper(
+    touches: Sequence[EvaluatedRun], contacts: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str
+) -> EvaluationResults:
+    """Return the normalised results from one touch and by number of contacts beside the paper's, called "paper".
+
+    `protocol` states how they were measured.
+    """
+    single = [
+        {**row, "published_median_normalised": _find_published(run).get(row["line"])}
+        for run in touches
+        for row in summarise_lines(run.table, PAPER_LINES)
+    ]
+    several = summarise_lines(join_runs(contacts), FUSED_LINES)
+    rows = [
+        *({"part": "touches", **row} for row in single),
+        *({"part": "contacts", **row, "published_median_normalised": None} for row in several),
+    ]
+    shares = tabulate_contacts(several, format_share_of_random)
+    document = build_document(PAPER_SCHEMA, protocol=dict(protocol), summary=rows)
+    tables = [
+        NotedTable(f"{SHARE_TITLE}, from one touch", BY_LINE, tabulate_published(single)),
+        NotedTable(f"{SHARE_TITLE}, by number of contacts", BY_CONTACTS, shares),
+    ]
+    return EvaluationResults("paper", heading, document, _leave_out(rows, "metric"), tables)
+
+
+def _find_published(run: EvaluatedRun) -> Mapping[str, float]:
+    """Return the paper's normalised medians of a run's demo object, by line; none for another object."""
+    return PUBLISHED.get(run.configuration.get("object", {}).get("path", ""), {})
+
+
+def tabulate_published(rows: Sequence[Row]) -> Table:
+    """Return a row for each object and encoder, from the rows of `collect_paper`, and a row of the paper's numbers."""
+    cells = []
+    for row in rows:
+        published = row["published_median_normalised"]
+        cells.append({**row, "source": "measured", "cell": format_share_of_random(row)})
+        cells.append({**row, "source": "paper", "cell": "-" if published is None else f"{published:.2f}"})
+    header, *found = pivot(cells, ("object", "encoder", "source"), "line", lambda row: row["cell"])
+    return [header, *(line for line in found if set(line[3:]) != {"-"})]

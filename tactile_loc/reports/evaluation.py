@@ -122,7 +122,7 @@ def read_evaluation(path: Path, version: int) -> tuple[dict[str, Any], list[Run]
     if found != version:
         raise ResultError(
             f"{path} has version {found}, and this tactile-loc reads version {version}; make it again with the same "
-            "`tactile-loc evaluate`"
+            "command"
         )
     runs = document["runs"]
     if not runs:

@@ -22,7 +22,7 @@ OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
 MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"encoder.{option}"))]
 PIXEL = ["--object", "pin", *TINY, "--sensor", "flat.toml"]
 PIN = [*PIXEL, *MOCO]
-EVALUATE = ["evaluate", "--paper", *PIN, *SURE, "--encoder", "pixel", "--refiner", "none", "--count", 2]
+PAPER = ["paper", *PIN, *SURE, "--encoder", "pixel", "--refiner", "none", "--count", 2]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def few_touches_to_validate_with(monkeypatch):
 
 
 def table(cli, folder: str) -> str:
-    succeed(cli(*EVALUATE, "--store", folder, "--out", f"out-{folder}"))
+    succeed(cli(*PAPER, "--store", folder, "--out", f"out-{folder}"))
     return (Path(f"out-{folder}") / "results.csv").read_text()
 
 
@@ -72,7 +72,7 @@ def test_an_interrupted_training_gives_the_same_table(cli, monkeypatch):
     whole = table(cli, "whole")
     assert {line.split(",")[1] for line in whole.splitlines()[1:]} == {"moco", "pixel"}
 
-    interrupt_after_a_checkpoint(cli, monkeypatch, *EVALUATE, "--store", "stopped", "--out", "out-stopped")
+    interrupt_after_a_checkpoint(cli, monkeypatch, *PAPER, "--store", "stopped", "--out", "out-stopped")
     assert not Path("out-stopped/results.csv").exists()
     steps = []
     step = training.Trainer._step

@@ -164,3 +164,29 @@ def test_contacts_have_their_medians_in_every_file(tmp_path):
     assert text.startswith("# Title\n")
     assert not missing(text, "common", 80)
     assert next(line for line in text.splitlines() if line.startswith("| best-1 | 5 |")).endswith("| 4 |")
+
+
+# ---- beside the paper
+
+
+def test_the_papers_numbers_stand_beside_those_of_its_objects(tmp_path):
+    """A mesh file of the same name is another object."""
+    paths = {"elbow_pipe": "elbow_pipe", "pin": "parts/pin.stl"}
+    runs, contacts = (
+        [EvaluatedRun(make(name, "pixel", 0), {"object": {"path": path}}) for name, path in paths.items()]
+        for make in (make_touch_table, make_contact_table)
+    )
+    found = paper_tables.collect_paper(runs, contacts, {"quick": ["few"]}, "Title")
+    document, rows, text = (path.read_text() for path in found.write(tmp_path))
+    one_touch, by_contacts = (table for _, _, table in found.tables)
+    assert [line[0:3:2] for line in one_touch[1:]] == [
+        ["elbow_pipe", "measured"], ["elbow_pipe", "paper"], ["pin", "measured"]
+    ]  # fmt: skip
+    paper = dict(zip(one_touch[0], one_touch[2], strict=True))
+    assert [paper[line] for line in ("best-1", "best-10", "best-50", "reg-1")] == ["0.87", "0.26", "0.08", "-"]
+    assert {line[2] for line in by_contacts[1:]} == {"best-1", "reg-1", "kinematic"}
+    first = json.loads(document)["summary"][0]
+    assert first["published_median_normalised"] == 0.87
+    assert one_touch[1][3] == f"{first['median_normalised']:.3f}"
+    assert len(list(csv.DictReader(io.StringIO(rows)))) == 2 * (len(paper_tables.PAPER_LINES) + 3 * len(CONTACTS))
+    assert " | ".join(one_touch[2]) in text

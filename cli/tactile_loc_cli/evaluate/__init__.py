@@ -1,1 +1,1 @@
-"""`tactile-loc evaluate`."""
+"""`tactile-loc evaluate` and `tactile-loc paper`."""

@@ -1,4 +1,4 @@
-"""`tactile-loc evaluate`: measure what `run` answers, or follow the paper's protocol."""
+"""`tactile-loc evaluate`: measure what `run` answers."""
 
 from __future__ import annotations
 
@@ -6,23 +6,12 @@ from typing import Annotated, Any
 
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.evaluate.jobs import Asked
+from tactile_loc_cli.evaluate.jobs import COMPARED, Asked
 from tactile_loc_cli.options import RunOptions
 
-COMPARED = ("grid", "renderer", "matcher", "refiner", "fuser")
 Given = Annotated[
     RunOptions,
-    options.Takes(
-        "units",
-        "symmetry",
-        *options.TOUCH_FILES,
-        "sensor",
-        "zero",
-        *COMPARED,
-        *options.SETTINGS,
-        "top",
-        grid="Poses to search. Default: whole. With --paper: face.",
-    ),
+    options.Takes("units", "symmetry", *options.TOUCH_FILES, "sensor", "zero", *COMPARED, *options.SETTINGS, "top"),
 ]
 
 
@@ -33,8 +22,7 @@ def evaluate(*, given: Given, asked: Asked) -> dict[str, Any]:
     The results are recall, verdicts and times (docs/evaluation.md). With several encoders, an option goes to the
     encoders that have it. After an interruption, the same command resumes.
     """
-    from tactile_loc_cli.evaluate.paper import evaluate_paper
     from tactile_loc_cli.evaluate.recall import evaluate_answers
 
     require_writable(asked.out)
-    return evaluate_paper(given, asked) if asked.paper else evaluate_answers(given, asked)
+    return evaluate_answers(given, asked)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig
 
 Job = tuple["RunConfig", "ObjectModel"]
+COMPARED = ("grid", "renderer", "matcher", "refiner", "fuser")
 _PART = re.compile(r"(\d+)(?:\.\.(\d+))?")
 
 
@@ -48,8 +49,7 @@ class Asked:
         int | None,
         declare(
             "--count N",
-            "Number of simulated examples for each object, noise and seed. Default: 20. With --paper: 100, or 150 "
-            "single touches.",
+            "Number of simulated examples for each object, noise and seed. Default: 20.",
             min=1,
             max=100_000,
         ),
@@ -59,7 +59,7 @@ class Asked:
         declare(
             "--together RANGE",
             "Locate from these numbers of touches together: 1..7, or 1,2,3 (at most 20). Default: 1..3; of your own "
-            "touches, all. With --paper: single touches.",
+            "touches, all.",
         ),
     ] = None
     noise: Annotated[
@@ -73,16 +73,18 @@ class Asked:
         bool,
         declare("--images", "Simulate images of the touches, for a sensor that was calibrated on simulated images."),
     ] = False
-    paper: Annotated[bool, declare("--paper", "Follow the protocol of the paper, on a grid that lists its poses.")] = (
-        False
-    )
     encoder: Annotated[list[str] | None, declare("--encoder NAME", "Encoder; may be repeated. Default: pixel.")] = None
     out: Annotated[Path, declare("--out FOLDER", "Folder of the results and pictures.")] = Path("evaluation")
     store: options.Store = None
+    paper: Annotated[bool, declare("--paper", "The earlier name of `tactile-loc paper`.", hidden=True)] = False
 
     def __post_init__(self) -> None:
+        if self.paper:
+            raise ConfigError(
+                "`evaluate --paper` is now `tactile-loc paper`, which always takes 1 to 7 contacts, not --together"
+            )
         simulated = {"--noise": self.noise, "--count": self.count, "--seed": self.seed, "--images": self.images}
-        for flag, given in {**simulated, "--paper": self.paper}.items():
+        for flag, given in simulated.items():
             if given and self.touches:
                 raise ConfigError(
                     f"{flag} needs simulated touches; leave it out, or leave out --touches {self.touches[0]}"

@@ -1,4 +1,4 @@
-"""The evaluation with the paper's protocol, on a grid that lists its poses."""
+"""`tactile-loc paper`: the errors that Bauza et al. (CoRL 2020) report, on a grid that lists its poses."""
 
 from __future__ import annotations
 
@@ -6,143 +6,209 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.store.files import shorten_name
+from tactile_loc.store.files import require_writable, shorten_name
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say
 from tactile_loc_cli.evaluate.jobs import (
+    COMPARED,
     Asked,
-    Job,
     list_jobs,
     read_setting,
     say_results,
     summarise_results,
     write_results,
 )
-from tactile_loc_cli.options import RunOptions
+from tactile_loc_cli.options import RunOptions, declare
 
 if TYPE_CHECKING:
-    from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.evaluation.table import EvaluatedRun
-    from tactile_loc.io.config import RunConfig
+    from tactile_loc.evaluation.text_tables import EvaluationResults
+    from tactile_loc.locate.localizer import Localizer
 
 DEFAULT_NOISE = "strong"
-DEFAULT_COUNT, CONTACT_COUNT = 150, 100
+CONTACTS = range(1, 8)
+TOUCHES, EXAMPLES = 150, 100
+QUICK_TOUCHES, QUICK_EXAMPLES, QUICK_MM = 40, 40, 4
+SPACING = "grid.spacing_mm="
+
+Given = Annotated[
+    RunOptions,
+    options.Takes(
+        "units", "symmetry", "sensor", "zero", *COMPARED, *options.SETTINGS, grid="Poses to search. Default: face."
+    ),
+]
+Chosen = Annotated[
+    Asked,
+    options.Takes(
+        "object",
+        "count",
+        "noise",
+        "seed",
+        "images",
+        "encoder",
+        "store",
+        count=f"Number of single touches, and of examples of several contacts. Default: {TOUCHES} and {EXAMPLES}.",
+        noise="Noise of the simulated touches. Default: strong.",
+        seed="Seed of the simulated touches. Default: 0.",
+    ),
+]
+Quick = Annotated[
+    bool,
+    declare(
+        "--quick",
+        f"Take {QUICK_TOUCHES} touches, {QUICK_EXAMPLES} examples of several contacts, and a grid spacing of "
+        f"{QUICK_MM} mm, unless --count or -o {SPACING}MM is given.",
+    ),
+]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of the results and pictures.")]
 
 
-def evaluate_paper(given: RunOptions, asked: Asked) -> dict[str, Any]:
-    """Evaluate each object with each encoder, from single touches or from several; write, show and return the results.
+def paper(*, given: Given, asked: Chosen, quick: Quick = False, out: Out = Path("paper")) -> dict[str, Any]:
+    """Measure the errors that the paper reports.
 
-    Raises ConfigError for several noises or seeds.
+    Each object is located from single touches, and from 1 to 7 contacts, by the protocol of Bauza et al. (CoRL 2020).
+    The results stand beside the paper's own numbers, where the object resembles one of its objects
+    (docs/evaluation.md). After an interruption, the same command resumes.
     """
-    from tactile_loc.io.config import LISTED
+    from tactile_loc.evaluation.paper_tables import collect_paper
 
-    for flag, values in (("--noise", asked.noises), ("--seed", asked.seeds)):
-        if len(values) > 1:
-            raise ConfigError(f"--paper takes a single {flag}; give one, or leave out --paper")
-    if not read_setting(given.config, "grid", "name"):
-        given = dataclasses.replace(given, grid=given.grid or LISTED.name)  # the protocol ranks all poses of the grid
-    source, numbers = choose_touches(given, asked), asked.numbers
-    jobs = list_jobs(given, asked, source)
-    default = DEFAULT_COUNT if numbers is None else CONTACT_COUNT
-    plan = _Plan(asked.count or default, source, asked.out, asked.store)
-    if numbers is not None:
-        return _evaluate_fusion(jobs, numbers, plan)
-    return _report(plan, [plan.work(settings, obj) for settings, obj in jobs])
+    require_writable(out)
+    plan, given = _make_plan(given, asked, quick, out), _choose_grid(given, quick)
+    touches, contacts = [], []
+    for settings, obj in list_jobs(given, asked, plan.source):
+        localizer = options.open_localizer(settings, asked.store, obj)
+        touches.append(plan.locate_touches(localizer))
+        contacts.append(plan.locate_contacts(localizer))
+    protocol = {"touches": plan.touches, "examples": plan.examples, "contacts": list(CONTACTS)}
+    about = {**protocol, **dataclasses.asdict(plan.source), "quick": plan.changes}
+    quickly = f"--quick: {', '.join(plan.changes)}" if plan.changes else ""
+    found = collect_paper(touches, contacts, about, f"The errors that the paper reports{quickly and f' ({quickly})'}")
+    written = [*found.write(out), *_report_touches(plan, touches), *_report_contacts(plan, contacts)]
+    say_results(found, left=3)
+    if quickly:
+        say(quickly)
+    return summarise_results(found, written)
 
 
 def choose_touches(given: RunOptions, asked: Asked) -> SimulatedTouches:
-    """Return the simulated touches, whose noise the options or the configuration file give."""
+    """Return the simulated touches, whose noise the options or the configuration file give.
+
+    Raises ConfigError for several noises or seeds.
+    """
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 
+    for flag, values in (("--noise", asked.noises), ("--seed", asked.seeds)):
+        if len(values) > 1:
+            raise ConfigError(f"`tactile-loc paper` takes a single {flag}; give one")
     default = "none" if asked.images else DEFAULT_NOISE
     noise = next(iter(asked.noises), None) or read_setting(given.config, "touch", "noise") or default
     return SimulatedTouches(str(noise), asked.seeds[0], asked.images)
 
 
+def _choose_grid(given: RunOptions, quick: bool) -> RunOptions:
+    """Return the options with a grid that lists its poses, since the protocol ranks all of them."""
+    from tactile_loc.io.config import LISTED
+
+    if not read_setting(given.config, "grid", "name"):
+        given = dataclasses.replace(given, grid=given.grid or LISTED.name)
+    words = list(given.option or [])
+    return dataclasses.replace(given, option=[f"{SPACING}{QUICK_MM}", *words]) if quick else given
+
+
+def _make_plan(given: RunOptions, asked: Asked, quick: bool, out: Path) -> _Plan:
+    changes = []
+    if quick and asked.count is None:
+        changes += [f"{QUICK_TOUCHES} touches instead of {TOUCHES}", f"{QUICK_EXAMPLES} examples instead of {EXAMPLES}"]
+    if quick and not any(word.replace(" ", "").startswith(SPACING) for word in given.option or []):
+        changes.append(f"a grid spacing of {QUICK_MM} mm instead of 3 mm")
+    touches, examples = (QUICK_TOUCHES, QUICK_EXAMPLES) if quick else (TOUCHES, EXAMPLES)
+    return _Plan(asked.count or touches, asked.count or examples, choose_touches(given, asked), out, changes)
+
+
 @dataclass(frozen=True)
 class _Plan:
-    """The settings of the evaluation of each object and encoder."""
+    """The measurement of each object and encoder, and the `changes` that --quick made, in words."""
 
-    count: int
-    touches: SimulatedTouches
+    touches: int
+    examples: int
+    source: SimulatedTouches
     out: Path
-    store: Path | None
+    changes: Sequence[str]
 
-    def work(self, settings: RunConfig, obj: ObjectModel) -> EvaluatedRun:
-        """Evaluate an object with an encoder, draw its gallery, and return the results."""
-        from tactile_loc.evaluation.protocol import evaluate as run_protocol
+    def locate_touches(self, localizer: Localizer) -> EvaluatedRun:
+        """Locate single touches, draw their gallery, and return the results."""
+        from tactile_loc.evaluation.protocol import evaluate
         from tactile_loc.evaluation.table import EvaluatedRun
         from tactile_loc.reports.evaluation_figures import draw_gallery
         from tactile_loc.view.pictures import save_figure
 
-        localizer = options.open_localizer(settings, self.store, obj)
-        encoder = settings.encoder.name
-        table = run_protocol(localizer, self.count, self.touches)
-        title = f"{obj.name} with {encoder}: best, median and worst of {self.describe('touch')}"
-        save_figure(self.out / _name_gallery(obj.name, encoder), draw_gallery(localizer, table, self.touches, title))
-        return EvaluatedRun(table, settings.resolve())
+        name, encoder = localizer.object.name, localizer.config.encoder.name
+        table = evaluate(localizer, self.touches, self.source)
+        title = f"{name} with {encoder}: best, median and worst of {self.describe(self.touches, 'touch')}"
+        save_figure(self.out / _name_gallery(name, encoder), draw_gallery(localizer, table, self.source, title))
+        return EvaluatedRun(table, localizer.config.resolve())
 
-    def describe(self, noun: str) -> str:
+    def locate_contacts(self, localizer: Localizer) -> EvaluatedRun:
+        """Locate the examples of several contacts, and return the results."""
+        from tactile_loc.evaluation.fusion import evaluate_fusion
+        from tactile_loc.evaluation.table import EvaluatedRun
+
+        table = evaluate_fusion(localizer, CONTACTS, self.examples, self.source)
+        return EvaluatedRun(table, localizer.config.resolve())
+
+    def describe(self, count: int, noun: str) -> str:
         """Return the number and kind of the touches or examples, in words."""
-        return f"{format_count(self.count, f'simulated {noun}')} ({self.touches.describe_kind()})"
+        return f"{format_count(count, f'simulated {noun}')} ({self.source.describe_kind()})"
 
 
 def _name_gallery(name: str, encoder: str) -> str:
     return f"gallery-{shorten_name(name)}-{encoder}.png"
 
 
-def _report(plan: _Plan, runs: Sequence[EvaluatedRun]) -> dict[str, Any]:
+def _report_touches(plan: _Plan, runs: Sequence[EvaluatedRun]) -> list[Path]:
+    """Write the results from one touch and their pictures, show the medians in mm, and return the paths."""
     from tactile_loc.evaluation.paper_tables import collect_touches
     from tactile_loc.evaluation.table import join_runs
     from tactile_loc.reports.evaluation_figures import draw_reliability, draw_violins
 
-    heading = f"Localisation from one touch: {plan.describe('touch')} for each object, seed {plan.touches.seed}"
+    counted = plan.describe(plan.touches, "touch")
+    heading = f"Localisation from one touch: {counted} for each object, seed {plan.source.seed}"
     table = join_runs(runs)
-    found = collect_touches(runs, {"touches": plan.count, **dataclasses.asdict(plan.touches)}, heading)
+    found = collect_touches(runs, {"touches": plan.touches, **dataclasses.asdict(plan.source)}, heading)
     figures = {"violins": draw_violins(table, heading), "reliability": draw_reliability(table, heading)}
-    written = write_results(plan.out, found, figures)
-    written += [plan.out / _name_gallery(*names) for names in table.group("object", "encoder")]
     say_results(found, left=2)
-    return summarise_results(found, written)
+    galleries = [plan.out / _name_gallery(*names) for names in table.group("object", "encoder")]
+    return [*write_results(plan.out, found, figures), *galleries]
 
 
-def _evaluate_fusion(jobs: Sequence[Job], contacts: Sequence[int], plan: _Plan) -> dict[str, Any]:
-    """Evaluate each object with each encoder and each number of contacts; write, show and return the results."""
-    from tactile_loc.evaluation.fusion import evaluate_fusion
+def _report_contacts(plan: _Plan, runs: Sequence[EvaluatedRun]) -> list[Path]:
+    """Write the results by number of contacts and their picture, and return the paths."""
     from tactile_loc.evaluation.paper_tables import collect_contacts
-    from tactile_loc.evaluation.table import EvaluatedRun, join_runs
+    from tactile_loc.evaluation.table import join_runs
     from tactile_loc.reports.evaluation_figures import draw_contacts
 
-    runs = []
-    for config, obj in jobs:
-        localizer = options.open_localizer(config, plan.store, obj)
-        runs.append(EvaluatedRun(evaluate_fusion(localizer, contacts, plan.count, plan.touches), config.resolve()))
-    heading = (
-        f"Localisation from several contacts: {plan.describe('example')} for each object, seed {plan.touches.seed}"
-    )
-    found = collect_contacts(runs, {"examples": plan.count, **dataclasses.asdict(plan.touches)}, heading)
-    written = write_results(plan.out, found, {"contacts": draw_contacts(join_runs(runs), heading)})
-    say_results(found, left=3)
-    for run in found.document["runs"]:
-        _say_left_out(run, found.document["summary"])
-    return summarise_results(found, written)
+    counted = plan.describe(plan.examples, "example")
+    heading = f"Localisation from several contacts: {counted} for each object, seed {plan.source.seed}"
+    found = collect_contacts(runs, {"examples": plan.examples, **dataclasses.asdict(plan.source)}, heading)
+    _say_left_out(found)
+    return write_results(plan.out, found, {"contacts": draw_contacts(join_runs(runs), heading)})
 
 
-def _say_left_out(run: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
+def _say_left_out(found: EvaluationResults) -> None:
     """Report how many examples have no pose that touches all sensors, and how many presses showed no touch."""
-    own = {"object": run["object"], "encoder": run["encoder"], "line": "best-1"}
-    counts = {row["contacts"]: row["without_common"] for row in rows if own.items() <= row.items()}
-    if any(counts.values()):
-        listed = ", ".join(f"{count} with {n}" for n, count in counts.items() if count)
-        say(
-            f"{run['object']}: no pose touches all sensors in some examples, which are located from the first contact "
-            f"alone: {listed} contacts"
-        )
-        say()
-    if run["refused"]:
-        say(f"{run['object']}: {run['refused']} presses made no contact and were replaced by others")
-        say()
+    for run in found.document["runs"]:
+        own = {"object": run["object"], "encoder": run["encoder"], "line": "best-1"}
+        rows = [row for row in found.document["summary"] if own.items() <= row.items()]
+        if counts := {row["contacts"]: row["without_common"] for row in rows if row["without_common"]}:
+            listed = ", ".join(f"{count} with {n}" for n, count in counts.items())
+            say(
+                f"{run['object']}: no pose touches all sensors in some examples, which are located from the first "
+                f"contact alone: {listed} contacts"
+            )
+        if run["refused"]:
+            say(f"{run['object']}: {run['refused']} presses made no contact and were replaced by others")
+    say()
