@@ -178,7 +178,7 @@ class Registry:
     def _load_plugin(self, plugin: EntryPoint) -> list[Any]:
         """Return the specs that a plugin offers. Import a module with hooks, and add the kinds that it defines."""
         if plugin.group != PROJECT:
-            summary = plugin.dist.metadata["Summary"] if plugin.dist else ""
+            summary = plugin.dist.metadata.get("Summary") if plugin.dist else ""
             slot = plugin.group.removeprefix(f"{PROJECT}.")
             return [ComponentSpec(slot, plugin.name, plugin.value, summary or "", interface=CLASS_INTERFACE)]
         manager = pluggy.PluginManager(PROJECT)

@@ -34,7 +34,7 @@ def site(install_offline) -> Path:
 
 def has_components(name: str) -> bool:
     """Return whether a distribution provides components; otherwise it provides a command."""
-    return "tactile_loc" in project(name).get("entry-points", {})
+    return any(group.startswith("tactile_loc") for group in project(name).get("entry-points", {}))
 
 
 def project(name: str) -> dict:
