@@ -51,8 +51,7 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.identify import find_floors, identify
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability.null_evidence import NullEvidence
-from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.locate.result.verdict import judge as judge_pose
+from tactile_loc.locate.result.verdict import Outcome, Verdict, judge
 from tactile_loc.planning.identification_files import AS_PROBABLE
 from tactile_loc.store.store import StageStore
 
@@ -174,10 +173,10 @@ def answer(row: dict[str, Any], situation: str) -> tuple[list[str], KnownAnswer]
     return names, KnownAnswer(misfits, np.array(row["floors"][situation]), truth, situation != KNOWN)
 
 
-def is_called_certain(row: dict[str, Any], names: list[str], p: NDArray[np.float64], none: float) -> bool:
-    """Return whether the verdict on the most probable object is "certain". Rows without imprint IoUs have none."""
-    first = int(p.argmax())
-    return judge_pose(p[first], row.get("imprint_ious", {}).get(names[first], np.nan), none) == Verdict.CERTAIN
+def is_called_certain(p: NDArray[np.float64], none: float) -> bool:
+    """Return whether the verdict on the most probable object is "certain". Poor fits are not known here."""
+    right = float(p.max())
+    return judge(Outcome(right, max(0.0, 1 - right - none), none)) is Verdict.CERTAIN
 
 
 def is_own_first(row: dict[str, Any], key: str, best: Callable[[Iterable[float]], float]) -> bool:
@@ -213,7 +212,7 @@ def judge(rows: list[dict[str, Any]], null: NullEvidence, situation: str) -> lis
         if situation in row["floors"]:
             names, known = answer(row, situation)
             p, none = null.probabilities(known.misfits, known.floors)
-            judged.append(Judged(row, known.truth, names, p, none, is_called_certain(row, names, p, none)))
+            judged.append(Judged(row, known.truth, names, p, none, is_called_certain(p, none)))
     return judged
 
 

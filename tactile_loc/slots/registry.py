@@ -178,9 +178,10 @@ class Registry:
     def _load_plugin(self, plugin: EntryPoint) -> list[Any]:
         """Return the specs that a plugin offers. Import a module with hooks, and add the kinds that it defines."""
         if plugin.group != PROJECT:
-            summary = plugin.dist.metadata.get("Summary") if plugin.dist else ""
+            about = plugin.dist.metadata if plugin.dist else {}
+            summary = about["Summary"] if "Summary" in about else ""  # noqa: SIM401 - metadata has no get()
             slot = plugin.group.removeprefix(f"{PROJECT}.")
-            return [ComponentSpec(slot, plugin.name, plugin.value, summary or "", interface=CLASS_INTERFACE)]
+            return [ComponentSpec(slot, plugin.name, plugin.value, summary, interface=CLASS_INTERFACE)]
         manager = pluggy.PluginManager(PROJECT)
         manager.add_hookspecs(sys.modules[__name__])
         manager.register(plugin.load())
