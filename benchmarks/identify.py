@@ -51,7 +51,8 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.identify import find_floors, identify
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability.null_evidence import NullEvidence
-from tactile_loc.locate.result.verdict import Outcome, Verdict, judge
+from tactile_loc.locate.result.verdict import Outcome, Verdict
+from tactile_loc.locate.result.verdict import judge as judge_pose
 from tactile_loc.planning.identification_files import AS_PROBABLE
 from tactile_loc.store.store import StageStore
 
@@ -176,7 +177,7 @@ def answer(row: dict[str, Any], situation: str) -> tuple[list[str], KnownAnswer]
 def is_called_certain(p: NDArray[np.float64], none: float) -> bool:
     """Return whether the verdict on the most probable object is "certain". Poor fits are not known here."""
     right = float(p.max())
-    return judge(Outcome(right, max(0.0, 1 - right - none), none)) is Verdict.CERTAIN
+    return judge_pose(Outcome(right, max(0.0, 1 - right - none), none)) is Verdict.CERTAIN
 
 
 def is_own_first(row: dict[str, Any], key: str, best: Callable[[Iterable[float]], float]) -> bool:

@@ -178,7 +178,7 @@ class Registry:
     def _load_plugin(self, plugin: EntryPoint) -> list[Any]:
         """Return the specs that a plugin offers. Import a module with hooks, and add the kinds that it defines."""
         if plugin.group != PROJECT:
-            about = plugin.dist.metadata if plugin.dist else {}
+            about: Any = plugin.dist.metadata if plugin.dist else {}
             summary = about["Summary"] if "Summary" in about else ""  # noqa: SIM401 - metadata has no get()
             slot = plugin.group.removeprefix(f"{PROJECT}.")
             return [ComponentSpec(slot, plugin.name, plugin.value, summary, interface=CLASS_INTERFACE)]
