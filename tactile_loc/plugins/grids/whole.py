@@ -7,6 +7,8 @@ density of directions therefore determines the pose error before refinement.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -29,6 +31,7 @@ from tactile_loc.plugin import (
     draw_rotations,
     make_patches,
     make_transform,
+    map_in_threads,
     njit,
 )
 
@@ -75,17 +78,29 @@ class WholeGrid(GridSampler):
         every = np.concatenate([make_sphere(options.directions), find_flat_directions(mesh, options.flat_mm2 * 1e-6)])
         directions = find_distinct_directions(every, obj, step_rad)
         self._refuse_too_many(obj, directions, camera)
+        batches = [directions[start : start + AT_ONCE] for start in range(0, len(directions), AT_ONCE)]
         poses: list[Float] = []
         patches: list[NDArray[np.uint8]] = []
         with progress.task("finding places that can touch first", len(directions)) as advance:
-            for start in range(0, len(directions), AT_ONCE):
-                some = directions[start : start + AT_ONCE]
-                for T_camera, heights in zip(*_draw_height_maps(obj, some, camera), strict=True):
-                    around, places_m = _cut_patches(heights, self._find_lowest(heights), camera)
-                    poses.append(make_transform(T_camera[:3, :3], T_camera[:3, 3] - places_m))
-                    patches.append(make_patches(around - places_m[:, 2, None, None]))
+            for some, found in zip(
+                batches, map_in_threads(partial(self._find_places, obj, camera), batches), strict=True
+            ):
+                for T_place_object, patch in found:
+                    poses.append(T_place_object)
+                    patches.append(patch)
                 advance(len(some))
         return Places(np.concatenate(poses), np.concatenate(patches))
+
+    def _find_places(
+        self, obj: ObjectModel, camera: SensorGeometry, directions: Float
+    ) -> list[tuple[Poses, NDArray[np.uint8]]]:
+        """Return the poses (K, 4, 4), metres, and the patches of the K places of each direction."""
+        found = []
+        for T_camera, heights in zip(*_draw_height_maps(obj, directions, camera), strict=True):
+            around, places_m = _cut_patches(heights, self._find_lowest(heights), camera)
+            poses = make_transform(T_camera[:3, :3], T_camera[:3, 3] - places_m)
+            found.append((poses, make_patches(around - places_m[:, 2, None, None])))
+        return found
 
     def _refuse_too_many(self, obj: ObjectModel, directions: Float, camera: SensorGeometry) -> None:
         """Raise GridError when a sample of the directions predicts more than `max_places`."""
