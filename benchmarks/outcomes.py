@@ -26,11 +26,13 @@ import tempfile
 import time
 import zlib
 from collections.abc import Iterator, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+from asked import write_head
 from determined import DistanceField, find_rival
 from elastic_gel import SIZES_PX, add_noise, press_elastic, view_as
 from generated_parts import EVERY, drill, make_box, make_cylinder, make_mesh
@@ -188,6 +190,7 @@ def locate_part(part: tuple[str, str, str], sensors: Sequence[str], arguments: a
                 localizer = Localizer.create(path, units=units or "auto", store=store, sensor=settings)
                 rng = np.random.default_rng([zlib.crc32(name.encode()), s, g, arguments.seed])
                 source, kind = make_source(localizer, raycast, arguments), find_kind(localizer.object)
+                field = DistanceField(localizer.object)
                 for number in range(arguments.examples):
                     if time.perf_counter() > end:
                         break
@@ -205,8 +208,8 @@ def locate_part(part: tuple[str, str, str], sensors: Sequence[str], arguments: a
                     scanned = dataclasses.replace(noisy, object=altered)
                     about = {"part": name, "kind": kind, "sensor": sensor, "gel": gel, "noise": noise}
                     about["mistake"] = mistake
-                    search = arguments.determined and noise == "none" and mistake == "none"
-                    rows += locate_example(localizer, (noisy, scanned), about, rng, search)
+                    clean = arguments.determined and (gel, noise, mistake) == ("rigid", "none", "none")
+                    rows += locate_example(localizer, (noisy, scanned), about, rng, field if clean else None)
     return rows
 
 
@@ -237,18 +240,22 @@ class ContactTouches(RobotTouches):
 
 
 def locate_example(
-    localizer: Localizer, sources: tuple[RobotTouches, RobotTouches], about: Row, rng: np.random.Generator, search: bool
+    localizer: Localizer,
+    sources: tuple[RobotTouches, RobotTouches],
+    about: Row,
+    rng: np.random.Generator,
+    field: DistanceField | None,
 ) -> list[Row]:
     """Return a row for each number of touches of an example; a refused one has only its error.
 
-    If `search` is set, other poses that fit three or five touches of a rigid gel are searched for.
+    If a `field` of the object is given, other poses that fit three or five touches are searched for in it.
     """
     try:
         touches = draw_touches(*sources, about["mistake"], rng)
     except TactileLocError:
         return []
     rows = []
-    rivals = find_rivals(sources[0], touches) if search and not localizer.scene.geometry.gel.is_elastic else {}
+    rivals = {} if field is None else find_rivals(sources[0], touches, field)
     for count in COUNTS:
         row = {**about, "touches": count, "rival_m": rivals.get(count)}
         try:
@@ -259,9 +266,8 @@ def locate_example(
     return rows
 
 
-def find_rivals(source: RobotTouches, touches: Sequence[Touch]) -> dict[int, float]:
+def find_rivals(source: RobotTouches, touches: Sequence[Touch], field: DistanceField) -> dict[int, float]:
     """Return the pose error, metres, of another pose that fits three or five touches; 0 if there is none."""
-    field = DistanceField(source.object)
     three = find_rival(source.object, source.renderer, touches[:3], field)
     return {3: three, 5: find_rival(source.object, source.renderer, touches[:5], field) if three else 0.0}
 
@@ -383,7 +389,7 @@ def fit(arguments: argparse.Namespace) -> None:
     weights = np.where(np.isin(mistakes, FAULTY), FAULTY_WEIGHT, 1.0)
     at_one_mm = np.tile([True, False], len(rows))
     print(f"{len(rows)} results of {len(set(parts))} parts; log losses on parts left out, {FOLDS} folds\n")
-    print("| form | all tolerances | 1 mm | fit, s |\n|---|---|---|---|")
+    print(write_head("form", "all tolerances", "1 mm", "fit, s"))
     left_out = {}
     for name in make_classifiers():
         start = time.perf_counter()
@@ -395,7 +401,7 @@ def fit(arguments: argparse.Namespace) -> None:
     chosen = next(iter(left_out))
     trees = export_trees(train(make_classifiers()[chosen], values, outcomes, weights))
     sound = np.array([row["mistake"] not in FAULTY for row in rows])
-    scores = compute_set_scores([row for row in rows if row["mistake"] not in FAULTY], left_out[chosen][sound])
+    scores = compute_set_scores(list(compress(rows, sound)), left_out[chosen][sound])
     about = {
         "version": VERSION,
         "features": list(FEATURES),

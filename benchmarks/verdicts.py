@@ -21,6 +21,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from asked import write_head
 from numpy.typing import NDArray
 
 from tactile_loc.locate.probability.evidence import TIE_IOU
@@ -88,7 +89,7 @@ def apply_gap_rule(gaps: Float64, right: Bools) -> Bools:
 
 def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table in Markdown."""
-    print(f"\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
+    print(f"\n{write_head(*columns)}")
     for cells in rows:
         print(f"| {' | '.join(cells)} |")
 

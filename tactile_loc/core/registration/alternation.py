@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.registration.estimates import Combination, Estimates, scale
+from tactile_loc.core.registration.estimates import Estimates, PoseFusion, scale
 from tactile_loc.core.registration.joint_registration import ROUGHLY
 from tactile_loc.core.registration.observations import MILLI
 from tactile_loc.core.sensing.scene import Scene, View
@@ -92,7 +92,7 @@ def _combine(views: Sequence[View], T_first_object: Poses, alone: Alone, prior: 
 
     The combination starts at the poses (K, 4, 4), metres, in the first sensor's frame.
     """
-    problem = Combination.of(views, Estimates.of(views, alone))
+    problem = PoseFusion.of(views, Estimates.of(views, alone))
     T_mm = problem.solve(T_first_object, prior)
     seen_mm, nats = problem.see(T_mm)
     T, seen = (scale(of, 1 / MILLI) for of in (T_mm, seen_mm))

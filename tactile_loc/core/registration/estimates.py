@@ -65,7 +65,7 @@ class Estimates(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Combination:
+class PoseFusion:
     """The problem of combining estimates: poses of the object with the least weighted errors.
 
     `T_sensor_first` (N, 4, 4) and `centres` (N, 3), the middles of the gels, are in mm. `sensor` (N, 6) are the
@@ -79,7 +79,7 @@ class Combination:
     middle: Floats
 
     @classmethod
-    def of(cls, views: Sequence[View], estimates: Estimates) -> Combination:
+    def of(cls, views: Sequence[View], estimates: Estimates) -> PoseFusion:
         """Return the problem of combining estimates from views of one object."""
         std = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]
         return cls(

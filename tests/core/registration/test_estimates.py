@@ -11,7 +11,7 @@ from tactile_loc.core.geometry.lie import exponential, move_covariance
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.priors import GaussianPrior
-from tactile_loc.core.registration.estimates import Combination, Estimates, scale
+from tactile_loc.core.registration.estimates import Estimates, PoseFusion, scale
 from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -41,7 +41,7 @@ def draw_information(rng, count: int) -> np.ndarray:
 
 
 def solve(views, T_each, information, start, prior=None):
-    problem = Combination.of(views, Estimates(scale(T_each[None]), information))
+    problem = PoseFusion.of(views, Estimates(scale(T_each[None]), information))
     return problem, scale(problem.solve(start[None], prior), 1e-3)[0]
 
 
@@ -145,5 +145,5 @@ def test_the_covariance_of_a_refiner_counts_instead_of_the_touchs_hessian(box):
         [RefinedPose(make_translation([x, 0, 0]), 1.0, True, 1, np.diag([std**2] * 3 + [1e-6] * 3))]
         for x, std in ((0.0, 1e-4), (1e-4, 1e-6))
     ]
-    problem = Combination.of(views, Estimates.of(views, alone))
+    problem = PoseFusion.of(views, Estimates.of(views, alone))
     np.testing.assert_allclose(problem.solve(np.eye(4)[None])[0, 0, 3], 0.1, atol=1e-4)
