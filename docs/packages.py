@@ -38,7 +38,7 @@ LAYERS: tuple[dict[str, float], ...] = (
 )
 LAYER_OF = {package: number for number, layer in enumerate(LAYERS) for package in layer}
 PATHS = {
-    "plugin": "tactile_loc/plugin.py", "commands": "tactile_loc/commands.py", "tactile_loc": "tactile_loc/__init__.py",
+    "commands": "tactile_loc/commands.py", "tactile_loc": "tactile_loc/__init__.py",
     "cli": "cli/tactile_loc_cli", "benchmarks": "benchmarks", "docs": "docs",
 }  # fmt: skip
 ROW = re.compile(r"^\| `(?P<path>[\w/.]+)` \| (?P<holds>[^|]*) \|[^|]*\|[^|]*\|$", re.MULTILINE)
@@ -140,7 +140,7 @@ def arrows() -> list[tuple[str, str]]:
 
 
 PITCH, BOX, HEIGHT, GAP = 140, 112, 36, 44  # pixels: from box to box, width and height of a box, between layers
-LABELS = {"plugin": "plugin.py", "commands": "commands.py", "tactile_loc": "public API"}
+LABELS = {"commands": "commands.py", "tactile_loc": "public API"}
 STYLE = (
     "text{font:14px sans-serif;text-anchor:middle;dominant-baseline:central;fill:#1f2933}"
     "rect{fill:#eef3f8;stroke:#52606d}path{fill:none;stroke:#7b8794;stroke-width:1.3;marker-end:url(#tip)}"

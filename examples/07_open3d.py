@@ -7,7 +7,7 @@ import numpy as np
 import open3d as o3d
 
 from tactile_loc import Localizer, save_figure
-from tactile_loc.plugin import make_contact_cloud
+from tactile_loc.plugin.helpers import make_contact_cloud
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--picture", metavar="PATH", help="draw the scene as PNG")

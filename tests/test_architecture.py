@@ -18,7 +18,7 @@ ALLOWED = {
     },
     "tactile_loc.plugins.sensors.file": {"tactile_loc.io.sensor_files"},
 }
-FRONT_DOOR = {"tactile_loc", "tactile_loc.plugin"}
+FRONT_DOOR = {"tactile_loc", "tactile_loc.plugin", "tactile_loc.plugin.helpers"}
 SLOTS = ("encoders", "fusers", "grids", "matchers", "refiners", "renderers", "sensors")
 FILE_ACCESS = {
     "open", "read_text", "read_bytes", "write_text", "write_bytes", "load", "save", "savez", "fromfile", "tofile",

@@ -16,7 +16,7 @@ from shapes import TIP_Z_M, Part
 from touching import CAUGHT_M, CONFIDENCE, open_gels
 
 from tactile_loc import Approach, Localization, PoseModes, Verdict, choose_next_touch
-from tactile_loc.plugin import invert, make_transform, make_translation, rotation_about
+from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about
 
 Pose = NDArray[np.float64]
 

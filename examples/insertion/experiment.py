@@ -17,7 +17,7 @@ from touching import Gels, make_localizer
 from trials import Trial
 
 from tactile_loc import StageStore, TactileLocError
-from tactile_loc.plugin import invert, make_translation
+from tactile_loc.plugin.helpers import invert, make_translation
 
 Pose = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from robot import Robot
 from shapes import SEAT_Z_M, TIP_Z_M, Part
 
-from tactile_loc.plugin import invert, make_transform, make_translation, rotation_about, rotation_angle
+from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about, rotation_angle
 
 Pose = NDArray[np.float64]
 

@@ -14,7 +14,8 @@ from shapes import Part
 from touching import Gels
 
 from tactile_loc import GaussianPrior, Localization, Touch, localize_together
-from tactile_loc.plugin import TouchError, invert
+from tactile_loc.plugin import TouchError
+from tactile_loc.plugin.helpers import invert
 
 Pose = NDArray[np.float64]
 

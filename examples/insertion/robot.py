@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scene import ARM_DAMPING, ARM_STIFFNESS, AXES, OPEN_M, TIMESTEP_S
 from scipy.spatial.transform import Rotation, Slerp
 
-from tactile_loc.plugin import make_transform
+from tactile_loc.plugin.helpers import make_transform
 
 Pose = NDArray[np.float64]
 

@@ -16,7 +16,8 @@ from scene import OPEN_M
 from shapes import MOUTH_CHAMFER_M, TIP_CHAMFER_M, TIP_Z_M, Part
 
 from tactile_loc import Localizer, RobotTouches, StageStore, Touch, make_noise
-from tactile_loc.plugin import bring_to_contact, invert, make_transform, registry
+from tactile_loc.plugin import registry
+from tactile_loc.plugin.helpers import bring_to_contact, invert, make_transform
 
 Pose = NDArray[np.float64]
 

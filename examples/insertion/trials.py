@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from shapes import PARTS
 
-from tactile_loc.plugin import make_transform
+from tactile_loc.plugin.helpers import make_transform
 
 Pose = NDArray[np.float64]
 

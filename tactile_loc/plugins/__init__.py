@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from tactile_loc.plugin import INTERFACE_VERSION, ComponentSpec, hookimpl
+from tactile_loc.plugin import ComponentSpec, hookimpl
+from tactile_loc.plugin.helpers import INTERFACE_VERSION
 
 LEARNED, KISS = "tactile-loc[learned]", "tactile-loc[kiss]"
 # slot, name, class, summary, and the extra to install

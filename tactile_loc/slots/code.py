@@ -144,7 +144,7 @@ def _find_imports(source: str, place: str) -> Iterator[str]:
 
 
 def _find_homes(module: str) -> dict[str, str]:
-    if module == f"{PACKAGE}.plugin":
+    if module in (f"{PACKAGE}.plugin", f"{PACKAGE}.plugin.helpers"):
         import_module(module)
     return HOMES.get(module, {})
 

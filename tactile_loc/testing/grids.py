@@ -106,7 +106,7 @@ def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
         abs(found - wanted) <= SIGMAS * error,
         "random must draw poses uniformly over the grid; "
         f"{100 * found:.0f} % are nearest to {100 * wanted:.0f} % of its poses: draw a rotation in proportion to "
-        "its places over the sensor, as tactile_loc.plugin.draw_places does",
+        "its places over the sensor, as tactile_loc.plugin.helpers.draw_places does",
     )
 
 

@@ -16,7 +16,7 @@ from shapes import PARTS
 from trials import CLEARANCES_MM, MOST_OFF_M, MOST_OFF_RAD, list_trials
 
 from tactile_loc import PoseModes, Verdict
-from tactile_loc.plugin import invert, make_transform, make_translation, rotation_about, rotation_angle
+from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about, rotation_angle
 
 
 @pytest.mark.parametrize(

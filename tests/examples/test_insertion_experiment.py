@@ -17,7 +17,7 @@ from shapes import PARTS, SEAT_Z_M
 from touching import SIDES, find_gel
 from trials import list_trials
 
-from tactile_loc.plugin import invert, make_transform, make_translation, rotation_about, rotation_angle
+from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about, rotation_angle
 
 TRIALS = list_trials(3, first_seed=20_000)
 BY_PART = {trial.part: trial for trial in TRIALS}

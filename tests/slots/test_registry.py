@@ -142,7 +142,8 @@ def test_equal_names_conflict_only_when_the_name_is_requested(install):
 
 
 KIND = """\
-from tactile_loc.plugin import ComponentKind, hookimpl
+from tactile_loc.plugin import hookimpl
+from tactile_loc.plugin.helpers import ComponentKind
 
 @hookimpl
 def register_kinds():

@@ -31,7 +31,8 @@ from tactile_loc import (
     localize_together,
     read_observations,
 )
-from tactile_loc.plugin import ConfigError, Scene, TouchError, make_transform, rotation_about
+from tactile_loc.plugin import ConfigError, Scene, TouchError
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 from tactile_loc_app.calibrator import Calibrator
 from tactile_loc_app.chosen_camera import ChosenCamera

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import ContactShape, SensorGeometry, Touch, make_noise, press_touch
-from tactile_loc.plugin import Scene, invert, registry
+from tactile_loc.plugin import Scene, registry
+from tactile_loc.plugin.helpers import invert
 
 INDEPENDENT = "zbuffer"  # the renderer of touches; it is not the one that locates them
 PREVIEW_PX = 72  # pixels along the long side of the contact shape that is shown while the finger moves

@@ -18,7 +18,8 @@ from press_sets import BALL_M, MM, TINY, ball_set
 from tactile_loc import ContactShape, RunConfig, StageStore, write_touch
 from tactile_loc.core.runtime.errors import ObjectError
 from tactile_loc.io.images import encode_png
-from tactile_loc.plugin import ConfigError, MissingLibraryError, draw_rotations, make_transform, registry
+from tactile_loc.plugin import ConfigError, MissingLibraryError, registry
+from tactile_loc.plugin.helpers import draw_rotations, make_transform
 from test_uploads import pack
 
 from tactile_loc_app.page.follower import Follower

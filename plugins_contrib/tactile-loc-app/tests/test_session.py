@@ -12,7 +12,8 @@ import trimesh
 from tactile_loc import Localization, NoContactError, PoseMetric, RunConfig, StageStore, TactileLocError, write_touch
 from tactile_loc.core.runtime.errors import ObjectError
 from tactile_loc.io.images import encode_png
-from tactile_loc.plugin import ConfigError, TouchError, make_translation
+from tactile_loc.plugin import ConfigError, TouchError
+from tactile_loc.plugin.helpers import make_translation
 from test_uploads import pack
 
 from tactile_loc_app.errors import AppError

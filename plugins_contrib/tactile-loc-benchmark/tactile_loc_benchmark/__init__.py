@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from tactile_loc.plugin import CommandSpec, ComponentKind, ComponentSpec, hookimpl
+from tactile_loc.plugin import CommandSpec, ComponentSpec, hookimpl
+from tactile_loc.plugin.helpers import ComponentKind
 
 INTERFACE = 2
 FOLDER = "./plugins_contrib/tactile-loc-benchmark"  # of this package in a clone of tactile-loc, for pip

@@ -12,19 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import RobotTouches, StageKey, StageStore
-from tactile_loc.plugin import (
-    ContactShape,
-    ObjectModel,
-    Poses,
-    Scene,
-    SensorModel,
-    Touch,
-    TouchError,
-    draw_rotations,
-    invert,
-    make_transform,
-    registry,
-)
+from tactile_loc.plugin import ContactShape, ObjectModel, Poses, Scene, SensorModel, Touch, TouchError, registry
+from tactile_loc.plugin.helpers import draw_rotations, invert, make_transform
 
 from tactile_loc_benchmark.interfaces import Image, RecordedSource, SimulatedSource, TouchSource
 from tactile_loc_benchmark.suite import Suite, SuiteEntry, create

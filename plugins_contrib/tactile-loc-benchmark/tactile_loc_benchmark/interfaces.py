@@ -14,21 +14,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.plugin import (
-    AnswerError,
-    Component,
-    ContactShape,
-    ObjectModel,
-    Poses,
-    Scene,
-    SensorGeometry,
-    Touch,
-    is_rigid,
-)
+from tactile_loc.plugin import ContactShape, ObjectModel, Poses, Scene, SensorGeometry, TactileLocError, Touch
+from tactile_loc.plugin.helpers import Component, is_rigid
 
 ROUNDING = 1e-4  # largest difference of an answer's rotations from proper ones, and of its probabilities' sum from 1
 
 Image = NDArray[np.uint8]
+
+
+class AnswerError(TactileLocError):
+    """A method returned something that is no answer."""
 
 
 class TouchSource(Component):

@@ -12,20 +12,11 @@ from typing import Any
 
 import numpy as np
 from tactile_loc import PoseJudge, StageStore, hash_code
-from tactile_loc.plugin import (
-    AnswerError,
-    ConfigError,
-    ObjectModel,
-    Poses,
-    Scene,
-    TactileLocError,
-    Touch,
-    invert,
-    registry,
-)
+from tactile_loc.plugin import ConfigError, ObjectModel, Poses, Scene, TactileLocError, Touch, registry
+from tactile_loc.plugin.helpers import invert
 
 from tactile_loc_benchmark.examples import ExampleDrawer
-from tactile_loc_benchmark.interfaces import LocatingProblem, Method, RecordedSource, ScoredPoses
+from tactile_loc_benchmark.interfaces import AnswerError, LocatingProblem, Method, RecordedSource, ScoredPoses
 from tactile_loc_benchmark.suite import OWN, Suite, SuiteEntry, create, hash_shortly
 
 LISTED = 10  # most poses of an answer that are measured

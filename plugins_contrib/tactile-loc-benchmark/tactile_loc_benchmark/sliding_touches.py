@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import RobotTouches
-from tactile_loc.plugin import Poses, Scene, Touch, TouchError, invert
+from tactile_loc.plugin import Poses, Scene, Touch, TouchError
+from tactile_loc.plugin.helpers import invert
 
 WAVES = 3  # sine waves whose sum is a smoothly changing number
 SLOWEST_HZ, FASTEST_HZ = 0.1, 0.5  # frequencies of the waves

@@ -13,7 +13,8 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from tactile_loc import DEMO_OBJECTS, TactileLocError, Units
-from tactile_loc.plugin import ConfigError, MissingLibraryError, did_you_mean, registry
+from tactile_loc.plugin import ConfigError, MissingLibraryError, registry
+from tactile_loc.plugin.helpers import did_you_mean
 
 SUITES, SPLITS = "suites", "objects.toml"
 OWN = __name__.partition(".")[0]

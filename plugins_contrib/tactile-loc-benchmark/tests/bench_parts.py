@@ -8,17 +8,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from tactile_loc.plugin import (
-    ComponentOptions,
-    ContactShape,
-    ObjectModel,
-    Scene,
-    SymmetryGroup,
-    Touch,
-    TouchError,
-    TriangleMesh,
-    make_transform,
-)
+from tactile_loc.plugin import ComponentOptions, ContactShape, ObjectModel, Scene, Touch, TouchError, TriangleMesh
+from tactile_loc.plugin.helpers import SymmetryGroup, make_transform
 
 from tactile_loc_benchmark.interfaces import (
     LocatingProblem,

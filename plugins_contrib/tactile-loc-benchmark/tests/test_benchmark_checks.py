@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import ContactShape, make_translation, registry
+from tactile_loc.plugin import ContactShape, registry
+from tactile_loc.plugin.helpers import make_translation
 from tactile_loc.testing import ContractError, list_checks, parametrize_with_checks
 from tactile_loc.testing.contract import CHECKS
 from tactile_loc.testing.problems import make_block

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tactile_loc import StageStore
-from tactile_loc.plugin import is_rigid, rotation_angle
+from tactile_loc.plugin.helpers import is_rigid, rotation_angle
 
 from tactile_loc_benchmark.examples import DrawnTouches, ExampleDrawer
 from tactile_loc_benchmark.prepare import load_objects, prepare_source

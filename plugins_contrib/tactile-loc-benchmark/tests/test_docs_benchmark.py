@@ -17,7 +17,8 @@ from bench_fakes import offer_fakes
 from bench_parts import SENSOR, Archive
 from message_helpers import missing
 from tactile_loc import RobotTouches
-from tactile_loc.plugin import SensorGeometry, invert, make_contact_cloud, registry, transform_points
+from tactile_loc.plugin import SensorGeometry, registry
+from tactile_loc.plugin.helpers import invert, make_contact_cloud, transform_points
 from tactile_loc.testing.problems import ReferenceRenderer
 from tactile_loc_cli.main import app
 from typer.main import get_command

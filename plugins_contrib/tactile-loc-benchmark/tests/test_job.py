@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from message_helpers import naming
-from tactile_loc.plugin import AnswerError
 
-from tactile_loc_benchmark.interfaces import ScoredPoses
+from tactile_loc_benchmark.interfaces import AnswerError, ScoredPoses
 
 
 def rows_of(found, method):

@@ -15,7 +15,8 @@ from typing import Any
 
 from tactile_loc import StageStore, TactileLocError, load_object
 from tactile_loc.commands import list_mesh_files, remove_abandoned, replace_file
-from tactile_loc.plugin import ConfigError, Progress, show_name
+from tactile_loc.plugin import ConfigError, Progress
+from tactile_loc.plugin.helpers import show_name
 
 from tactile_loc_library.descriptor import load_descriptor
 from tactile_loc_library.library import MANIFEST, Library, add_items, lock_library, write_library

@@ -15,7 +15,8 @@ from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.plugin import PATCH_PX, PITCH_M, Float32, Touch, cut_patches, find_anchor, rotate_patches
+from tactile_loc.plugin import Float32, Touch
+from tactile_loc.plugin.helpers import PATCH_PX, PITCH_M, cut_patches, find_anchor, rotate_patches
 
 WEIGHTS = "descriptor.safetensors"
 PLACES = "keys"  # the name of the network of places in the weights

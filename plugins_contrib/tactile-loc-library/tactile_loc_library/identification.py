@@ -15,7 +15,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import Identification, KnownObject, NullEvidence, Touch, identify
-from tactile_loc.plugin import ConfigError, Progress, TouchError, map_in_threads, require_sensor_poses
+from tactile_loc.plugin import ConfigError, Progress, TouchError
+from tactile_loc.plugin.helpers import map_in_threads, require_sensor_poses
 
 from tactile_loc_library.search import ExaminedPart, PartSearch, RoughFit, VoteResult
 from tactile_loc_library.votes import Shortlist

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 from tactile_loc.commands import remove_abandoned, replace_file
-from tactile_loc.plugin import did_you_mean
+from tactile_loc.plugin.helpers import did_you_mean
 
 from tactile_loc_library.record import (
     SHORT_DIGITS,

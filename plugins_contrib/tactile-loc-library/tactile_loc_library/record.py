@@ -20,18 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import ObjectModel, TactileLocError, TriangleMesh
-from tactile_loc.plugin import (
-    PATCH_PX,
-    ConfigError,
-    GridSampler,
-    MissingLibraryError,
-    Places,
-    Progress,
-    SymmetryGroup,
-    registry,
-    show_name,
-    use_one_blas_thread,
-)
+from tactile_loc.plugin import ConfigError, GridSampler, MissingLibraryError, Places, Progress, registry
+from tactile_loc.plugin.helpers import PATCH_PX, SymmetryGroup, show_name, use_one_blas_thread
 
 from tactile_loc_library.descriptor import load_descriptor
 

@@ -21,18 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import Localizer, RunConfig, StageStore
-from tactile_loc.plugin import (
-    ByteCache,
-    ConfigError,
-    Poses,
-    Progress,
-    SymmetryGroup,
-    Touch,
-    TouchBounds,
-    bound_touch,
-    compute_full_evidence,
-    invert,
-)
+from tactile_loc.plugin import ConfigError, Poses, Progress, Touch
+from tactile_loc.plugin.helpers import ByteCache, SymmetryGroup, TouchBounds, bound_touch, compute_full_evidence, invert
 
 from tactile_loc_library.descriptor import load_descriptor
 from tactile_loc_library.library import Library

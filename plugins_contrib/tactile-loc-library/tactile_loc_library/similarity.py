@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.plugin import njit, run_in_threads
+from tactile_loc.plugin.helpers import njit, run_in_threads
 
 from tactile_loc_library.descriptor import STEPS
 

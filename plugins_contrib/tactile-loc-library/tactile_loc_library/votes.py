@@ -18,7 +18,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.plugin import Float32, Touch, find_anchor, njit
+from tactile_loc.plugin import Float32, Touch
+from tactile_loc.plugin.helpers import find_anchor, njit
 
 from tactile_loc_library.descriptor import Descriptor
 from tactile_loc_library.similarity import UNIT, compare_vectors, round_touches

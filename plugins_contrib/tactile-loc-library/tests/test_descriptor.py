@@ -9,7 +9,8 @@ import pytest
 from safetensors.numpy import load, save
 from tactile_loc import ObjectModel, RobotTouches, load_object
 from tactile_loc.core.places.places import BELOW, FAR, STEP_M
-from tactile_loc.plugin import PATCH_PX, Places, Progress, Touch, find_anchor, registry
+from tactile_loc.plugin import Places, Progress, Touch, registry
+from tactile_loc.plugin.helpers import PATCH_PX, find_anchor
 
 from tactile_loc_library.descriptor import (
     ANGLES,

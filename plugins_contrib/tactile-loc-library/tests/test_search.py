@@ -12,7 +12,8 @@ import trimesh
 from message_helpers import naming
 from tactile_loc import Localizer, RobotTouches, RunConfig, TactileLocError, Touch, identify, make_noise
 from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.plugin import ByteCache, ConfigError, invert, registry
+from tactile_loc.plugin import ConfigError, registry
+from tactile_loc.plugin.helpers import ByteCache, invert
 from tactile_loc.plugins.grids.whole import WholeGrid
 
 from tactile_loc_library import identification, similarity

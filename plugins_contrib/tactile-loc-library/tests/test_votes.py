@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import draw_rotations
+from tactile_loc.plugin.helpers import draw_rotations
 
 from tactile_loc_library.descriptor import STEPS
 from tactile_loc_library.votes import (

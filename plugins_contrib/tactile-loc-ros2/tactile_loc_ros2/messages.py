@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import LocatedFrame, ObjectModel, RosPose, Verdict, simplify_mesh
-from tactile_loc.plugin import make_transform
+from tactile_loc.plugin.helpers import make_transform
 
 from tactile_loc_ros2.frames import NS
 

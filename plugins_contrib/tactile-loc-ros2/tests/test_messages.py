@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from tactile_loc import LocatedFrame, Verdict
-from tactile_loc.plugin import draw_rotations
+from tactile_loc.plugin.helpers import draw_rotations
 
 from tactile_loc_ros2 import messages
 from tactile_loc_ros2.frames import read_stamp_ns

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import small_gicp
 from pydantic import Field
-from tactile_loc.plugin import Cloud, CloudRefiner, Registration, is_rigid
+from tactile_loc.plugin.helpers import Cloud, CloudRefiner, Registration, is_rigid
 
 FEWEST_POINTS = 10  # after downsampling; covariances of fewer points are not reliable
 LEAST_REACH = 4.0  # least correspondence distance, in spacings of neighbouring points

@@ -6,15 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import (
-    Candidate,
-    Cloud,
-    Registration,
-    is_rigid,
-    make_contact_cloud,
-    make_transform,
-    rotation_about,
-)
+from tactile_loc.plugin import Candidate
+from tactile_loc.plugin.helpers import Cloud, Registration, is_rigid, make_contact_cloud, make_transform, rotation_about
 from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 from tactile_loc.testing.problems import CAMERAS, OFFSETS, press_block, replace_depth
 

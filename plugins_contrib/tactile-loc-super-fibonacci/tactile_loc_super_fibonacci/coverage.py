@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.plugin import draw_rotations, registry, rotation_to_quaternion
+from tactile_loc.plugin import registry
+from tactile_loc.plugin.helpers import draw_rotations, rotation_to_quaternion
 from tactile_loc.testing.problems import CAMERAS, make_block
 
 from tactile_loc_super_fibonacci.spirals import super_fibonacci_rotations

@@ -7,7 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.plugin import AllRotationsGrid, ObjectModel, SensorGeometry
+from tactile_loc.plugin import ObjectModel, SensorGeometry
+from tactile_loc.plugin.helpers import AllRotationsGrid
 
 from tactile_loc_super_fibonacci.spirals import fibonacci_directions, rotations_of_axis, super_fibonacci_rotations
 

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 from tactile_loc import Localizer
-from tactile_loc.plugin import draw_contact_poses, make_contact_grid
+from tactile_loc.plugin.helpers import draw_contact_poses, make_contact_grid
 
 HEAD = "| object | symmetry | grid | poses | mean spacing | median to nearest | 95 % to nearest | mean to nearest |"
 GRIDS = ("hopf", "super-fibonacci")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.plugin import align_to_z, quaternion_to_rotation
+from tactile_loc.plugin.helpers import align_to_z, quaternion_to_rotation
 
 Float = NDArray[np.float64]
 

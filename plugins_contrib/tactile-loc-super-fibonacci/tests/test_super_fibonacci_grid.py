@@ -4,19 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import (
-    GridError,
-    ObjectModel,
-    PoseGrid,
-    PoseMetric,
-    SensorGeometry,
-    SymmetryGroup,
-    TriangleMesh,
-    bring_to_contact,
-    is_rigid,
-    make_transform,
-    registry,
-)
+from tactile_loc.plugin import GridError, ObjectModel, PoseGrid, SensorGeometry, TriangleMesh, registry
+from tactile_loc.plugin.helpers import PoseMetric, SymmetryGroup, bring_to_contact, is_rigid, make_transform
 from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 from tactile_loc.testing.problems import CAMERAS, make_block
 

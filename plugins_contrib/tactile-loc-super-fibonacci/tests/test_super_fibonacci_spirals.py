@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import SymmetryGroup, is_rigid, make_transform, rotation_about, rotation_angle
+from tactile_loc.plugin.helpers import SymmetryGroup, is_rigid, make_transform, rotation_about, rotation_angle
 
 from tactile_loc_super_fibonacci.coverage import angle_of_chord, hopf_rotations, least_covering, spread_of
 from tactile_loc_super_fibonacci.spirals import (

@@ -117,10 +117,6 @@ class MissingLibraryError(PluginError):
     """A plugin needs a library that is not installed."""
 
 
-class AnswerError(PluginError):
-    """A method of a benchmark returned something that is no answer."""
-
-
 def fold_line(text: str) -> str:
     """Return a text as one line. Unprintable characters are escaped, and a very long text loses its middle."""
     words = " ".join(text.split())

@@ -8,16 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import (
-    PATCH_PX,
-    Capabilities,
-    ComponentOptions,
-    Encoder,
-    Float32,
-    SensorGeometry,
-    average_patches,
-    cut_patches,
-)
+from tactile_loc.plugin import Capabilities, ComponentOptions, Encoder, Float32, SensorGeometry
+from tactile_loc.plugin.helpers import PATCH_PX, average_patches, cut_patches
 
 LEAST_SEEN = 0.5  # least seen share of a cell that counts
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.plugin import Capabilities, CommonPosesFuser, PosePosterior
+from tactile_loc.plugin import Capabilities, PosePosterior
+from tactile_loc.plugin.helpers import CommonPosesFuser
 
 
 class KinematicFuser(CommonPosesFuser):

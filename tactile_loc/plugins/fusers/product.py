@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import CommonPosesFuser, PosePosterior
+from tactile_loc.plugin import PosePosterior
+from tactile_loc.plugin.helpers import CommonPosesFuser
 
 
 class ProductFuser(CommonPosesFuser):

@@ -10,14 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import (
-    GridError,
-    GridSampler,
-    ObjectModel,
-    Poses,
-    SensorGeometry,
+from tactile_loc.plugin import GridError, GridSampler, ObjectModel, Poses, SensorGeometry, TriangleMesh
+from tactile_loc.plugin.helpers import (
     SymmetryGroup,
-    TriangleMesh,
     align_to_z,
     compute_lattice_shape,
     draw_places,

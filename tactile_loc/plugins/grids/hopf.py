@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import AllRotationsGrid, ObjectModel, SensorGeometry, align_to_z, quaternion_to_rotation
+from tactile_loc.plugin import ObjectModel, SensorGeometry
+from tactile_loc.plugin.helpers import AllRotationsGrid, align_to_z, quaternion_to_rotation
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int64]

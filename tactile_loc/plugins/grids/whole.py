@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.plugin import (
-    PATCH_PX,
-    PITCH_M,
     Capabilities,
     ConfigError,
     GridError,
@@ -26,6 +24,10 @@ from tactile_loc.plugin import (
     Progress,
     SensorGeometry,
     TriangleMesh,
+)
+from tactile_loc.plugin.helpers import (
+    PATCH_PX,
+    PITCH_M,
     align_to_z,
     draw_nearest_depths,
     draw_rotations,

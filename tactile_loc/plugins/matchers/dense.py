@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_loc.plugin import ExactMatcher
+from tactile_loc.plugin.helpers import ExactMatcher
 
 
 class DenseMatcher(ExactMatcher):

@@ -6,7 +6,8 @@ import numpy as np
 import open3d as o3d
 from pydantic import Field
 
-from tactile_loc.plugin import Capabilities, Cloud, CloudRefiner, Poses, Registration
+from tactile_loc.plugin import Capabilities, Poses
+from tactile_loc.plugin.helpers import Cloud, CloudRefiner, Registration
 
 BURST = 8  # iterations between tests for convergence
 SETTLED_WIDE, SETTLED = 0.03, 1e-4  # largest move in a burst at convergence, for each pass: radians and mm

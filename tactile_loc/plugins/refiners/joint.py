@@ -6,18 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tactile_loc.plugin import (
-    Candidate,
-    Capabilities,
-    JointRegistration,
-    Prior,
-    RefinedPose,
-    Refiner,
-    RegistrationOptions,
-    Scene,
-    Touch,
-    View,
-)
+from tactile_loc.plugin import Candidate, Capabilities, Prior, RefinedPose, Refiner, Scene, Touch, View
+from tactile_loc.plugin.helpers import JointRegistration, RegistrationOptions
 
 
 class JointRefiner(Refiner):

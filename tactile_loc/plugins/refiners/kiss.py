@@ -15,7 +15,7 @@ from kiss_icp.registration import Registration as KissRegistration
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import Cloud, CloudRefiner, Registration, make_orthonormal, transform_points
+from tactile_loc.plugin.helpers import Cloud, CloudRefiner, Registration, make_orthonormal, transform_points
 
 Floats = NDArray[np.float64]
 

@@ -19,19 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import (
-    Capabilities,
-    ComponentOptions,
-    Float32,
-    Poses,
-    Renderer,
-    SensorGeometry,
-    TriangleMesh,
-    draw_nearest_depths,
-    group_rotations,
-    njit,
-    run_in_threads,
-)
+from tactile_loc.plugin import Capabilities, ComponentOptions, Float32, Poses, Renderer, SensorGeometry, TriangleMesh
+from tactile_loc.plugin.helpers import draw_nearest_depths, group_rotations, njit, run_in_threads
 
 FINE, COARSE = 4, 16  # side of a tile with known minimum, cells, at two levels
 BLOCKS = (32, 8, 4)  # side of the blocks that are skipped at once, pixels, at three levels

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from tactile_loc.plugin import Float32, Poses, Renderer, SensorGeometry, TriangleMesh, draw_nearest_depths
+from tactile_loc.plugin import Float32, Poses, Renderer, SensorGeometry, TriangleMesh
+from tactile_loc.plugin.helpers import draw_nearest_depths
 
 
 class ZBufferRenderer(Renderer):

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import ContactShape, DepthSensor, GelOptions, SensorGeometry
+from tactile_loc.plugin import ContactShape, SensorGeometry
+from tactile_loc.plugin.helpers import DepthSensor, GelOptions
 from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
 from tactile_loc.sensors.reading.reading import find_contact_shape, find_gel_surface
 

@@ -8,7 +8,8 @@ from typing import Any
 from pydantic import Field
 
 from tactile_loc.io.sensor_files import read_sensor_file
-from tactile_loc.plugin import DepthSensor, GelOptions, SensorGeometry
+from tactile_loc.plugin import SensorGeometry
+from tactile_loc.plugin.helpers import DepthSensor, GelOptions
 
 
 class FileSensor(DepthSensor):

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from tactile_loc.plugin import DepthSensor, GelOptions, SensorGeometry
+from tactile_loc.plugin import SensorGeometry
+from tactile_loc.plugin.helpers import DepthSensor, GelOptions
 
 # With parallel rays, images do not depend on the standoff. It only sets the surface's position in the sensor frame.
 ORTHOGRAPHIC_STANDOFF_M = 10e-3

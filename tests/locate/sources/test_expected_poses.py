@@ -24,7 +24,7 @@ from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.sources.place_search import choose_expected, draw_expected
 from tactile_loc.locate.sources.whole_object import EXPECTED_MODES, FIRST, add_expected_modes, search_together
-from tactile_loc.plugin import bring_to_contact
+from tactile_loc.plugin.helpers import bring_to_contact
 from tactile_loc.slots.registry import registry
 
 SEEDS = (0, 2, 5)

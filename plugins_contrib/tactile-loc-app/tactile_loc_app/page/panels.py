@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import numpy as np
 from tactile_loc import DEMO_OBJECTS, Localization, Units
 from tactile_loc.commands import format_mm, format_percent
-from tactile_loc.plugin import NoiseLevel, registry
+from tactile_loc.plugin import registry
+from tactile_loc.plugin.helpers import NoiseLevel
 
 from tactile_loc_app.calibrator import MadeSensor
 from tactile_loc_app.page.calibration_tab import CalibrationTab

@@ -17,7 +17,13 @@ from tactile_loc import (
     TriangleMesh,
     simplify_mesh,
 )
-from tactile_loc.plugin import invert, make_transform, make_translation, quaternion_to_rotation, rotation_to_quaternion
+from tactile_loc.plugin.helpers import (
+    invert,
+    make_transform,
+    make_translation,
+    quaternion_to_rotation,
+    rotation_to_quaternion,
+)
 
 from tactile_loc_app.page.pictures import colour_probability
 from tactile_loc_app.virtual_finger import Pose, Press

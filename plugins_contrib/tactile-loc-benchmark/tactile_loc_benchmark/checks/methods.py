@@ -9,17 +9,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from tactile_loc.plugin import (
-    PoseMetric,
-    Scene,
-    TactileLocError,
-    Touch,
-    invert,
-    is_rigid,
-    make_transform,
-    registry,
-    rotation_about,
-)
+from tactile_loc.plugin import Scene, TactileLocError, Touch, registry
+from tactile_loc.plugin.helpers import PoseMetric, invert, is_rigid, make_transform, rotation_about
 from tactile_loc.testing.contract import ContractError, Untouched, check, require
 from tactile_loc.testing.problems import ReferenceRenderer, make_block, make_planar_pose, make_touch, replace_depth
 

@@ -11,7 +11,8 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.plugin import Capabilities, Poses, Touch, invert, make_transform
+from tactile_loc.plugin import Capabilities, Poses, Touch
+from tactile_loc.plugin.helpers import invert, make_transform
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
 from tactile_loc_benchmark.methods.surface_fit import FitOptions, SurfaceFit

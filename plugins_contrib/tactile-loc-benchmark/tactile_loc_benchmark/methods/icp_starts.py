@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
-from tactile_loc.plugin import ObjectModel, Poses, Touch, draw_rotations, invert, make_transform
+from tactile_loc.plugin import ObjectModel, Poses, Touch
+from tactile_loc.plugin.helpers import draw_rotations, invert, make_transform
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
 from tactile_loc_benchmark.methods.surface_fit import FitOptions, SurfaceFit

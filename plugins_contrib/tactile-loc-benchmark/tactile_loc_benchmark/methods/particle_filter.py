@@ -9,20 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
-from tactile_loc.plugin import (
-    ComponentOptions,
-    ObjectModel,
-    PoseMetric,
-    Poses,
-    Renderer,
-    Touch,
-    View,
-    invert,
-    make_transform,
-    merge_modes,
-    registry,
-    transform_points,
-)
+from tactile_loc.plugin import ComponentOptions, ObjectModel, Poses, Renderer, Touch, View, registry
+from tactile_loc.plugin.helpers import PoseMetric, invert, make_transform, merge_modes, transform_points
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
 from tactile_loc_benchmark.methods.icp_starts import draw_starts

@@ -8,21 +8,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.plugin import (
+from tactile_loc.plugin import ComponentOptions, Float32, ObjectModel, Poses, Scene, SensorGeometry, Touch, registry
+from tactile_loc.plugin.helpers import (
     PATCH_PX,
     PITCH_M,
-    ComponentOptions,
-    Float32,
-    ObjectModel,
-    Poses,
-    Scene,
-    SensorGeometry,
-    Touch,
     align_to_z,
     find_anchor,
     invert,
     make_transform,
-    registry,
     rotate_patches,
     rotation_about,
 )

@@ -12,13 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
-from tactile_loc.plugin import (
-    ComponentOptions,
-    ObjectModel,
+from tactile_loc.plugin import ComponentOptions, ObjectModel, Poses, TouchError
+from tactile_loc.plugin.helpers import (
     PoseMetric,
-    Poses,
     SurfaceField,
-    TouchError,
     group_ties,
     invert,
     make_transform,

@@ -7,18 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc.plugin import (
-    ObjectModel,
-    Poses,
-    Renderer,
-    Scene,
-    Touch,
-    TouchError,
-    View,
-    invert,
-    make_contact_cloud,
-    transform_points,
-)
+from tactile_loc.plugin import ObjectModel, Poses, Renderer, Scene, Touch, TouchError, View
+from tactile_loc.plugin.helpers import invert, make_contact_cloud, transform_points
 
 IMAGE_PX = 80  # touches are thinned to about this many pixels on the longer side before points are taken
 DEEPEST_SHARE = 0.05  # pixels within this share of the press depth of the deepest pixel count as deepest

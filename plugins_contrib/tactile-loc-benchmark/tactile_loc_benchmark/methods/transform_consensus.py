@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from tactile_loc.plugin import Poses, Touch, invert, make_transform, rotation_about
+from tactile_loc.plugin import Poses, Touch
+from tactile_loc.plugin.helpers import invert, make_transform, rotation_about
 
 from tactile_loc_benchmark.interfaces import LocatingProblem, Method, ScoredPoses
 from tactile_loc_benchmark.methods.surface_fit import FitOptions, SurfaceFit

@@ -9,16 +9,8 @@ from typing import Any
 import numpy as np
 import PIL.Image
 from tactile_loc import StageStore, calibrate_folder, label_presses
-from tactile_loc.plugin import (
-    ObjectModel,
-    Scene,
-    SensorError,
-    SensorGeometry,
-    SymmetryGroup,
-    TriangleMesh,
-    make_transform,
-    registry,
-)
+from tactile_loc.plugin import ObjectModel, Scene, SensorError, SensorGeometry, TriangleMesh, registry
+from tactile_loc.plugin.helpers import SymmetryGroup, make_transform
 
 from tactile_loc_benchmark.interfaces import Image, SimulatedSource
 

@@ -16,15 +16,8 @@ import numpy as np
 import PIL.Image
 from pydantic import Field
 from tactile_loc import convert_presses, load_object
-from tactile_loc.plugin import (
-    ComponentOptions,
-    ConfigError,
-    ObjectModel,
-    Poses,
-    SensorGeometry,
-    make_transform,
-    rotation_about,
-)
+from tactile_loc.plugin import ComponentOptions, ConfigError, ObjectModel, Poses, SensorGeometry
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 from tactile_loc_benchmark.interfaces import RecordedSource, RecordedTouch
 from tactile_loc_benchmark.sources.calibrating import calibrate_sensor

@@ -8,7 +8,8 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
-from tactile_loc.plugin import ComponentOptions, ContactShape, NoiseLevel, Poses, Scene, make_noise, registry
+from tactile_loc.plugin import ComponentOptions, ContactShape, Poses, Scene, registry
+from tactile_loc.plugin.helpers import NoiseLevel, make_noise
 
 from tactile_loc_benchmark.interfaces import SimulatedSource
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from tactile_loc import RobotTouches
 from tactile_loc.core.poses.tolerance import measure_shape_distances
-from tactile_loc.plugin import ObjectModel, Poses, Touch, make_transform, rotation_about
+from tactile_loc.plugin import ObjectModel, Poses, Touch
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 from tactile_loc.plugins.sensors.presets import GelSightMini
 from tactile_loc.testing.problems import make_block

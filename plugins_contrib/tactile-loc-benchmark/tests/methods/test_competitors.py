@@ -6,7 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import Touch, TouchError, make_transform, rotation_about, transform_points
+from tactile_loc.plugin import Touch, TouchError
+from tactile_loc.plugin.helpers import make_transform, rotation_about, transform_points
 
 from tactile_loc_benchmark.methods.feature_registration import FastGlobalRegistration, FeaturedCloud, FpfhRansac
 from tactile_loc_benchmark.methods.icp_starts import IcpFromStarts

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import TouchError, invert, make_transform, make_translation, rotation_about, transform_points
+from tactile_loc.plugin import TouchError
+from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about, transform_points
 
 from tactile_loc_benchmark.methods.pixel_matching import measure_differences, stand_on_points
 from tactile_loc_benchmark.methods.surface_fit import FitOptions, SurfaceFit, shrink

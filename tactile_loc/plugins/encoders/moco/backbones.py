@@ -15,7 +15,8 @@ from typing import Literal
 import torch
 from torch import nn
 
-from tactile_loc.plugin import ConfigError, WeightsError, did_you_mean
+from tactile_loc.plugin import ConfigError, WeightsError
+from tactile_loc.plugin.helpers import did_you_mean
 
 log = logging.getLogger(__name__)
 

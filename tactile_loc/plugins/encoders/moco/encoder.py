@@ -27,11 +27,11 @@ from tactile_loc.plugin import (
     Encoder,
     Float32,
     GridError,
-    NoiseLevel,
     SensorGeometry,
     TrainingProblem,
     WeightsError,
 )
+from tactile_loc.plugin.helpers import NoiseLevel
 from tactile_loc.plugins.encoders.moco.backbones import Backbone, load_pretrained, make_backbone
 from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
 from tactile_loc.plugins.encoders.moco.training import Trainer

@@ -18,15 +18,8 @@ import torch.distributed as dist
 import torch.nn.functional as F  # noqa: N812 - torch's own abbreviation
 from torch import nn
 
-from tactile_loc.plugin import (
-    MissingLibraryError,
-    TrainingBatch,
-    TrainingError,
-    TrainingProblem,
-    TrainingTouches,
-    make_noise,
-    rank,
-)
+from tactile_loc.plugin import MissingLibraryError, TrainingBatch, TrainingError, TrainingProblem, TrainingTouches
+from tactile_loc.plugin.helpers import make_noise, rank
 from tactile_loc.plugins.encoders.moco.backbones import Backbone
 from tactile_loc.plugins.encoders.moco.recipe import Recipe
 

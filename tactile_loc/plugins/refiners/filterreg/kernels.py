@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from tactile_loc.plugin import njit
+from tactile_loc.plugin.helpers import njit
 
 # mypy: ignore-errors
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.plugin import Cloud, CloudRefiner, Registration, exponential, run_in_threads
+from tactile_loc.plugin.helpers import Cloud, CloudRefiner, Registration, exponential, run_in_threads
 from tactile_loc.plugins.refiners.filterreg import kernels
 
 Floats = NDArray[np.float64]

@@ -7,12 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.plugin import (
-    ContactShape,
+from tactile_loc.plugin import ContactShape, Poses, SensorGeometry, TriangleMesh
+from tactile_loc.plugin.helpers import (
     Drawing,
-    Poses,
-    SensorGeometry,
-    TriangleMesh,
     bring_to_contact,
     draw_nearest_depths,
     exponential,

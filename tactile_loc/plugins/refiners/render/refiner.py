@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat
 
-from tactile_loc.plugin import Candidate, ComponentOptions, PoseMetric, Poses, RefinedPose, Refiner, Scene, Touch
+from tactile_loc.plugin import Candidate, ComponentOptions, Poses, RefinedPose, Refiner, Scene, Touch
+from tactile_loc.plugin.helpers import PoseMetric
 from tactile_loc.plugins.refiners.render.pictures import Float32, Floats, Pictures, keep_within_reach
 
 DAMPINGS = np.array([0.1, 1.0, 10.0])  # factors of the last good damping to try
