@@ -21,7 +21,7 @@ from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.paper_tables import collect_contacts, collect_touches
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES
 from tactile_loc.evaluation.recall.tables import collect_answers
-from tactile_loc.evaluation.sweep.combination import Combination, combine
+from tactile_loc.evaluation.sweep.combination import TIMED_LINES, TOUCHES, Combination, combine
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import MEASURED, Sweep
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, name_errors
@@ -138,7 +138,11 @@ def make_sweep(values: dict[str, Any], measure: Callable[[Combination], Mapping[
             outcomes[one.key] = JobOutcome(one.key, None, error=found)
         else:
             zeros = dict.fromkeys(MEASURED, 0.0)
-            outcomes[one.key] = JobOutcome(one.key, {"grid_poses": 7, **zeros, **found}, (f"grid {one.key}",))
+            measured = {"grid_poses": 7, **zeros, **found}
+            touches = {f"{line}_mm": [measured[f"{line}_median_mm"]] * one.count for line in LINES}
+            touches |= {f"{line}_ms": [measured[f"{line}_ms"]] * one.count for line in TIMED_LINES}
+            measured[TOUCHES] = {**touches, "refused": [0] * one.count, **measured.get(TOUCHES, {})}
+            outcomes[one.key] = JobOutcome(one.key, measured, (f"grid {one.key}",))
     return Sweep(plan, combinations, outcomes, len(combinations))
 
 

@@ -98,7 +98,9 @@ def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [name for name, _ in rows] == ["none", "icp"]
     assert all(float(value) > 0 for _, value in rows)
-    named = set(re.findall(r"`([\w.-]+)`", PAGE[PAGE.index("| file |") : PAGE.index("`sweep.md` and the pictures")]))
+    named = set(
+        re.findall(r"`([\w.-]+)`", PAGE[PAGE.index("| file |") : PAGE.index("`sweep.md`, `differences.csv` and")])
+    )
     assert named <= {path.name for path in (tmp_path / "sweep").iterdir()}
 
 
@@ -109,6 +111,8 @@ def test_every_column_is_explained():
     assert find_varied_options(plan.slots["grid"]) == ["spacing_mm"]
     columns = list_columns(plan)
     assert explained <= set(columns)
-    assert {c for c in columns if not re.fullmatch(r"[\w-]+_(median_mm|mean_mm|median_share)", c)} <= explained
+    assert {
+        c for c in columns if not re.fullmatch(r"[\w-]+_(median_mm|low_mm|high_mm|mean_mm|median_share)", c)
+    } <= explained
     assert set(IDENTITY) <= explained
     assert tuple(columns[columns.index("encode_ms") :]) == MOMENTARY

@@ -16,7 +16,7 @@ from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.evaluation.sweep.comparison import compare, format_texts
 from tactile_loc.evaluation.sweep.plan import Plan, name_choices
-from tactile_loc.evaluation.sweep.sweep import read_sweep
+from tactile_loc.evaluation.sweep.tables import read_sweep
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import load_object

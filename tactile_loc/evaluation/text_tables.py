@@ -70,7 +70,7 @@ def format_csv(rows: Sequence[Row]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(rows[0])
-    writer.writerows([_format_value(row[name]) for name in rows[0]] for row in rows)
+    writer.writerows([format_value(row[name]) for name in rows[0]] for row in rows)
     return text.getvalue()
 
 
@@ -162,7 +162,8 @@ def write_texts(folder: Path, name: str, document: Mapping[str, Any], **texts: s
     return [write_text(folder / f"{name}.{suffix}", text) for suffix, text in every.items()]
 
 
-def _format_value(value: Any) -> Any:
+def format_value(value: Any) -> Any:
+    """Return a value for a cell of a CSV file: a number, a text, None, or JSON."""
     if value is None or (isinstance(value, str | int | float) and not isinstance(value, bool)):
         return value
     return json.dumps(value)

@@ -53,17 +53,25 @@ def make_sweep_page(path: Path) -> Page:
     by = find_varying(rows) or ["object"]
     choices = {"times": times, "factors": by, "first": "refiner" if "refiner" in by else by[0]}
     failures = {"factors": factors, "rows": [[*(row[f] or "" for f in factors), row["error"]] for row in failed]}
-    summary = {"numbers": list(_list_numbers(rows, len(failed), lines)), "count": len(good), "lines": lines}
+    summary = {
+        "explained": str(document.get("explained") or ""),
+        "numbers": list(_list_numbers(rows, len(failed), lines)),
+        "count": len(good),
+        "lines": lines,
+    }
+    differences = _tabulate_differences(document, factors)
     sections = [
         Section("summary", "", summary),
         *([Section("time", "Error against time", choices)] if lines and times else []),
         *([Section("effects", "Effect of each component", {"factors": kinds})] if kinds else []),
+        *([Section("differences", "Differences from the base", differences)] if differences["rows"] else []),
         Section("rows", "Combinations", _tabulate_rows(good, factors, lines)),
         *([Section("failed", "Failed combinations", failures)] if failed else []),
         Section("made", "Settings", _describe_settings(document, rows)),
     ]
     others = [column for column in dict.fromkeys([*TIMES, *line_times.values(), *OTHERS]) if column in rows[0]]
-    columns = [*factors, *(line + MEDIAN for line in lines), *others]
+    ranges = [f"{line}_{end}_{unit}" for line in lines for end in ("low", "high") for unit in ("mm", "ms")]
+    columns = [*factors, *(line + MEDIAN for line in lines), *others, *(name for name in ranges if name in rows[0])]
     drawn = [{column: row.get(column) for column in columns} for row in good]
     data = {"factors": factors, "components": kinds, "rows": drawn, "line_times": line_times}
     title = f"Sweep: {len(rows)} combinations"
@@ -165,6 +173,29 @@ def _write_heading(column: str) -> str:
         if name.endswith(suffix):
             return f"{name.removesuffix(suffix).replace('_', ' ')} ({unit})"
     return name.replace("_", " ")
+
+
+def _tabulate_differences(document: Mapping[str, Any], factors: Sequence[str]) -> dict[str, Any]:
+    """Return the headings and cells of the paired differences from the base, and their line of the protocol."""
+    found = [row for row in document.get("differences") or [] if isinstance(row, Mapping)]
+    named = [factor for factor in factors if found and factor in found[0]]
+    rows = [
+        [
+            *(str(row[name]) if row[name] is not None else "" for name in named),
+            *(text for kind, unit in (("error", "mm"), ("time", "ms")) for text in _write_difference(row, kind, unit)),
+        ]
+        for row in found
+    ]
+    heads = ["error (mm)", "statement", "time (ms)", "statement"]
+    return {"line": str(document.get("line")), "header": [*named, *heads], "left": len(named), "rows": rows}
+
+
+def _write_difference(row: Mapping[str, Any], kind: str, unit: str) -> Iterator[str]:
+    """Yield the difference from the base with its interval, and the statement."""
+    value, low, high = (row.get(f"{kind}_difference_{part}{unit}") for part in ("", "low_", "high_"))
+    interval = "" if low is None or high is None else f" ({low:+.3g} to {high:+.3g})"
+    yield "" if value is None else f"{value:+.3g}{interval}"
+    yield str(row.get(f"{kind}_verdict", ""))
 
 
 def _describe_settings(document: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:

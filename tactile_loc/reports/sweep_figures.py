@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.evaluation.sweep.plan import find_varying_slots, name_choices
-from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, Sweep, write_sweep_tables
+from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, Sweep
+from tactile_loc.evaluation.sweep.tables import write_sweep_tables
+from tactile_loc.evaluation.sweep.uncertainty import Estimate, estimate_geometric_mean
 from tactile_loc.reports.evaluation_figures import COLOURS
 from tactile_loc.slots.registry import SLOTS
 from tactile_loc.view.pictures import group_nearby, make_figure, save_figure
@@ -32,7 +34,27 @@ LEAST_MM = 1e-6  # smaller errors are clipped before taking logarithms
 DIGIT, LINE, MARKER = 5.6, 10.0, 7.0  # points: width of a character, height of a label, size of a point's marker
 OFFSETS = [(5, 3), (5, -12), (-5, 3), (-5, -12), (0, 8), (0, -17), (5, 13), (-5, 13), (5, -22), (-5, -22), (9, -5)]
 
-Points = Sequence[ChoiceMedian]
+
+class Point(NamedTuple):
+    """Error, mm, and time, ms, of a choice of components, with their intervals; see `ChoiceMedian`."""
+
+    choices: tuple[int, ...]
+    label: str
+    error: Estimate
+    time: Estimate
+
+    @property
+    def error_mm(self) -> float:
+        """The error."""
+        return self.error.value
+
+    @property
+    def time_ms(self) -> float:
+        """The time per touch."""
+        return self.time.value
+
+
+Points = Sequence[Point]
 
 
 def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
@@ -52,7 +74,7 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
     return written
 
 
-def list_points(sweep: Sweep, line: str, noise: str) -> list[ChoiceMedian]:
+def list_points(sweep: Sweep, line: str, noise: str) -> list[Point]:
     """Return a point for each combination of components that succeeded on all objects, in the plan's order.
 
     Errors and times are geometric means over the objects.
@@ -61,18 +83,21 @@ def list_points(sweep: Sweep, line: str, noise: str) -> list[ChoiceMedian]:
     for one in sweep.compute_medians(line):
         if one.noise == noise:
             found.setdefault(one.choices, []).append(one)
-    points = []
-    for some in found.values():
-        logs = np.log(np.maximum([(one.error_mm, one.time_ms) for one in some], LEAST_MM))
-        error_mm, time_ms = np.exp(logs.mean(axis=0)).tolist()
-        if np.isfinite(error_mm + time_ms):
-            points.append(some[0]._replace(object="", error_mm=error_mm, time_ms=time_ms))
-    return points
+    return [
+        Point(
+            choices,
+            some[0].label,
+            estimate_geometric_mean([one.error.values for one in some]),
+            estimate_geometric_mean([one.time.values for one in some]),
+        )
+        for choices, some in found.items()
+        if all(np.isfinite(one.error_mm + one.time_ms) for one in some)
+    ]
 
 
-def find_pareto_front(found: Points) -> list[ChoiceMedian]:
+def find_pareto_front(found: Points) -> list[Point]:
     """Return the points that no other point beats in both error and time, in order of increasing time."""
-    front: list[ChoiceMedian] = []
+    front: list[Point] = []
     for point in sorted(found, key=lambda p: (p.time_ms, p.error_mm)):
         if not front or point.error_mm < front[-1].error_mm:
             front.append(point)
@@ -103,7 +128,8 @@ def compute_effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.f
 def draw_error_time(sweep: Sweep, line: str) -> Figure | None:
     """Draw a panel for each noise, with a numbered point for each combination of components, and a list of the names.
 
-    Error and time are medians over touches, then geometric means over objects. Names on the Pareto front are bold.
+    Error and time are medians over touches, then geometric means over objects. Lines show their 95 % intervals. Names
+    on the Pareto front are bold.
     Returns None if no combination succeeded on all objects.
     """
     panels = {noise: found for noise in sweep.plan.noises if (found := list_points(sweep, line, noise))}
@@ -163,7 +189,7 @@ class _Style:
         self._places = {slot: list(sweep.plan.slots).index(slot) for slot in slots}
         self._colour, self._marker = [*slots, None, None][:2]
 
-    def choose(self, point: ChoiceMedian) -> dict[str, Any]:
+    def choose(self, point: Point) -> dict[str, Any]:
         """Return the colour and the marker of a point."""
         colour = COLOURS[self._index(point, self._colour) % len(COLOURS)]
         return {"color": colour, "marker": MARKERS[self._index(point, self._marker) % len(MARKERS)]}
@@ -172,7 +198,10 @@ class _Style:
         """Return the entries of the legend."""
         from matplotlib.lines import Line2D
 
-        shown: list[Any] = [Line2D([], [], color=FRONT, lw=1.4, label="Pareto front")]
+        shown: list[Any] = [
+            Line2D([], [], color=FRONT, lw=1.4, label="Pareto front"),
+            Line2D([], [], color="#718096", lw=1.0, alpha=0.6, label="95 % interval"),
+        ]
         for slot, by_colour in ((self._colour, True), (self._marker, False)):
             for i, name in enumerate(self._labels[slot] if slot else []):
                 colour = COLOURS[i % len(COLOURS)] if by_colour else "#718096"
@@ -180,7 +209,7 @@ class _Style:
                 shown.append(Line2D([], [], color=colour, marker=marker, ls="", label=f"{slot} {name}"))
         return shown
 
-    def _index(self, point: ChoiceMedian, slot: str | None) -> int:
+    def _index(self, point: Point, slot: str | None) -> int:
         return point.choices[self._places[slot]] if slot else 0
 
 
@@ -192,6 +221,13 @@ def _draw_points(
     axes.margins(0.07)
     axes.step([p.time_ms for p in front], [p.error_mm for p in front], where="post", color=FRONT, lw=1.4, zorder=2)
     for point in found:
+        colour = style.choose(point)["color"]
+        for low, high, draw, other in (
+            (*point.error[1:], axes.vlines, point.time_ms),
+            (*point.time[1:], axes.hlines, point.error_mm),
+        ):
+            if np.isfinite(low):
+                draw(other, low, high, color=colour, lw=1.0, alpha=0.45, zorder=2)
         axes.plot(point.time_ms, point.error_mm, ms=7, ls="", mec="white", mew=0.7, zorder=3, **style.choose(point))
     for label in place_labels(_locate_points(axes, found), [numbers[point.choices] for point in found]):
         at, best = found[label.members[0]], any(found[i] in front for i in label.members)

@@ -28,7 +28,8 @@ temperature = 0.01
 option.grid.spacing_mm = 8
 """
 COLUMNS = ["object", "sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser", "noise", "seed", "state"]
-FILES = {"sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "error-time.png", "effects.png", "rows", "workers.log"}
+TABLES = {"sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "differences.csv", "touches.csv"}
+FILES = TABLES | {"error-time.png", "effects.png", "rows", "workers.log"}
 
 
 @pytest.fixture
@@ -50,8 +51,9 @@ def test_a_plan_is_evaluated_once_and_written(cli, plan, tmp_path):
     assert {path.name for path in (tmp_path / "sweep").iterdir()} == FILES
     again = succeed(cli("sweep", "sweep.toml", "--line", "reg-1"))
     lines = again.stdout.splitlines()
-    assert not missing(lines[0], "reg-1", "mm", "strong")
-    assert lines[1].split() == ["components", "pin", "head"]
+    assert not missing(lines[0], "touches", "2")
+    assert not missing(lines[1], "reg-1", "mm", "strong")
+    assert lines[2].split() == ["components", "pin", "head"]
     assert any(re.match(r"4 combinations\b.*\b0\b.*\b4\b", line) for line in lines)
     for name in FILES - {"rows", "workers.log"}:
         assert name in lines[-1]

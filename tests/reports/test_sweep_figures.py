@@ -8,10 +8,12 @@ from message_helpers import naming
 from report_helpers import make_sweep
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, format_summary, require_line
+from tactile_loc.evaluation.sweep.tables import format_summary, require_line
+from tactile_loc.evaluation.sweep.uncertainty import Estimate
 from tactile_loc.reports.sweep_figures import (
     DIGIT,
     LINE,
+    Point,
     compute_effects,
     draw_effects,
     draw_error_time,
@@ -156,7 +158,7 @@ def test_cells_are_means_over_seeds():
 
 def test_the_pareto_front_holds_the_points_that_no_point_beats():
     placed = [(1, 9), (2, 5), (2, 6), (3, 5), (4, 2), (9, 3), (9, 1)]
-    found = [ChoiceMedian("", "", (i,), str(i), error, time) for i, (time, error) in enumerate(placed)]
+    found = [Point((i,), str(i), Estimate(error), Estimate(time)) for i, (time, error) in enumerate(placed)]
     assert [p.label for p in find_pareto_front(found)] == ["0", "1", "4", "6"]
     for p in found:
         beaten = any(q.error_mm <= p.error_mm and q.time_ms <= p.time_ms and q != p for q in found)

@@ -89,7 +89,8 @@ def sweep(
     values are evaluated in local processes or on a Dask cluster (docs/sweeps.md). All workers share one store. If a
     combination fails, its row holds the error, and the exit code is 1. After an interruption, the same command resumes.
     """
-    from tactile_loc.evaluation.sweep.sweep import read_sweep, require_line, run_sweep
+    from tactile_loc.evaluation.sweep.sweep import run_sweep
+    from tactile_loc.evaluation.sweep.tables import read_sweep, require_line
     from tactile_loc.store.store import StageStore
 
     values = {key: value for key, value in vars(choices).items() if value is not None}
@@ -207,11 +208,12 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
 
 def _say_medians(found: Sweep, line: str) -> None:
     """Show the median errors, best first."""
-    from tactile_loc.evaluation.sweep.sweep import tabulate_medians
+    from tactile_loc.evaluation.sweep.tables import explain, tabulate_medians
 
+    say(explain(found, line))
     medians = found.compute_medians(line)
     for noise in found.plan.noises:
-        header, *rows = tabulate_medians(medians, noise, lambda error_mm, _: f"{error_mm:.3g}")
+        header, *rows = tabulate_medians(medians, noise, lambda error, _: f"{error.value:.3g}")
         say(f"median error in mm (line {line}, noise {noise})")
         say_table([header, *rows[:MOST_SHOWN]], left=1)
         if len(rows) > MOST_SHOWN:
@@ -221,7 +223,7 @@ def _say_medians(found: Sweep, line: str) -> None:
 def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
     """Compare two finished sweeps, and show and return the changes. Raises ConfigError if `old` is None."""
     from tactile_loc.evaluation.sweep.comparison import compare, format_texts, summarise, write_comparison
-    from tactile_loc.evaluation.sweep.sweep import read_sweep
+    from tactile_loc.evaluation.sweep.tables import read_sweep
 
     if old is None:
         raise ConfigError("no plan is given; give a plan file, or options such as --refiner none,icp")

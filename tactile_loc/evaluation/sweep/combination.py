@@ -22,6 +22,7 @@ from tactile_loc.evaluation.paper_tables import measure_coverage, summarise_line
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, evaluate, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.sweep.plan import Plan
+from tactile_loc.evaluation.sweep.uncertainty import estimate_median
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.config import EXACT, ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.io.meshes.mesh_files import load_object
@@ -32,8 +33,8 @@ from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc.store.keys import StageKey, hash_arrays, hash_shortly, write_canonical_json
 from tactile_loc.store.store import StageStore
 
-ROW_VERSION = 2  # increase it if the same combination gets other results
-STATISTICS = ("median_mm", "mean_mm", "median_share")
+ROW_VERSION = 3  # increase it if the same combination gets other results
+STATISTICS = ("median_mm", "low_mm", "high_mm", "mean_mm", "median_share")
 ERRORS = tuple(f"{line}_{what}" for line in LINES for what in STATISTICS)
 COVERAGES = tuple(f"coverage_{100 * level:.0f}" for level in LEVELS)
 LINE_STAGES = {  # the stages that the pose of a line needs; those before refinement for all other lines
@@ -41,7 +42,11 @@ LINE_STAGES = {  # the stages that the pose of a line needs; those before refine
 }  # fmt: skip
 SEARCHED = tuple(stage for stage in protocol.STAGES if stage != "refine")
 TIMED_LINES = ("best-1", "reg-1", "chosen")
-TIMES = (*(f"{stage}_ms" for stage in protocol.TIMED), *(f"{line}_ms" for line in TIMED_LINES))
+TIMES = (
+    *(f"{stage}_ms" for stage in protocol.TIMED),
+    *(f"{line}_{what}" for line in TIMED_LINES for what in ("ms", "low_ms", "high_ms")),
+)
+TOUCHES = "touches"  # the entry of a row's file with a value of each touch
 IDS = ("grid_id", "touches_id")
 HASHED_DECIMALS = 6  # of poses, metres
 STAGES = ("grid", "shapes", "encoder", "bank", "temperature", "evaluation")
@@ -252,21 +257,34 @@ class CombinationJob:
         return {**summarise(evaluation), **identify(localizer, touches, evaluation), "model_s": round(model_s, 3)}
 
 
-def summarise(table: ExampleTable) -> dict[str, float | None]:
+def summarise(table: ExampleTable) -> dict[str, Any]:
     """Return ERRORS (mm, and shares of a random pose's mean error), COVERAGES, nll_nats and TIMES (medians, ms).
 
-    Numbers have six digits. A number that is not finite becomes None, such as the likelihood if a matcher did not score
-    the true pose.
+    `low` and `high` are the 95 % interval of a median. Numbers have six digits. A number that is not finite becomes
+    None, such as the likelihood if a matcher did not score the true pose. TOUCHES has lists with a value for each
+    touch: "LINE_mm" of LINES, "LINE_ms" of TIMED_LINES, and "refused".
     """
     values: dict[str, float] = {}
+    touches: dict[str, list[Any]] = {}
     for row in summarise_lines(table, LINES):
-        errors = (1e3 * row["median_m"], 1e3 * row["mean_m"], row["median_normalised"])
-        values |= {f"{row['line']}_{what}": error for what, error in zip(STATISTICS, errors, strict=True)}
+        name, errors_mm = row["line"], 1e3 * table.errors_m(row["line"], "add")
+        _, low_mm, high_mm = estimate_median(errors_mm[None])
+        errors = (1e3 * row["median_m"], low_mm, high_mm, 1e3 * row["mean_m"], row["median_normalised"])
+        values |= {f"{name}_{what}": error for what, error in zip(STATISTICS, errors, strict=True)}
+        touches[f"{name}_mm"] = round_numbers(errors_mm)
     values |= dict(zip(COVERAGES, measure_coverage(table), strict=True)) | {"nll_nats": table["nll_nats"].mean()}
-    seconds = {stage: table[f"{stage}_s"] for stage in protocol.TIMED}
-    values |= {f"{stage}_ms": 1e3 * np.median(s) for stage, s in seconds.items()}
-    for line in TIMED_LINES:
-        needed = [seconds[stage] for stage in LINE_STAGES.get(line, SEARCHED)]
-        values[f"{line}_ms"] = 1e3 * float(np.median(np.sum(needed, axis=0)))
-    rounded = {name: float(f"{value:.6g}") if np.isfinite(value) else None for name, value in values.items()}
-    return {"grid_poses": int(table["grid_poses"][0]), **rounded}
+    times_ms = {stage: 1e3 * table[f"{stage}_s"] for stage in protocol.TIMED}
+    values |= {f"{stage}_ms": np.median(some) for stage, some in times_ms.items()}
+    for name in TIMED_LINES:
+        needed_ms = np.sum([times_ms[stage] for stage in LINE_STAGES.get(name, SEARCHED)], axis=0)
+        median = estimate_median(needed_ms[None])
+        values |= dict(zip((f"{name}_ms", f"{name}_low_ms", f"{name}_high_ms"), median, strict=True))
+        touches[f"{name}_ms"] = round_numbers(needed_ms)
+    touches["refused"] = table["refused"].tolist()
+    numbers = dict(zip(values, round_numbers(values.values()), strict=True))
+    return {"grid_poses": int(table["grid_poses"][0]), **numbers, TOUCHES: touches}
+
+
+def round_numbers(values: Iterable[float]) -> list[float | None]:
+    """Return numbers with six digits, and None for those that are not finite."""
+    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]

@@ -1,54 +1,44 @@
-"""A sweep: it evaluates the missing combinations, keeps every finished row, and writes the tables of all rows.
-
-The tables are sweep.csv, .parquet, .md and .json. Other commands read sweep.json.
-"""
+"""A sweep: it evaluates the missing combinations, and keeps every finished row."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tactile_loc.core.runtime.errors import ConfigError, advise_choice
-from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.evaluation.jobs import JobOutcome, QueuedJob, Workers, resume_jobs
-from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
 from tactile_loc.evaluation.sweep.combination import (
     COVERAGES,
     ERRORS,
     IDS,
     TIMES,
+    TOUCHES,
     Combination,
     CombinationJob,
     combine,
     name_time,
     order_for_running,
 )
+from tactile_loc.evaluation.sweep.factors import Decomposition, decompose
 from tactile_loc.evaluation.sweep.plan import Plan, find_varied_options, find_varying_slots, name_choices
-from tactile_loc.evaluation.text_tables import (
-    Row,
-    Table,
-    build_document,
-    format_csv,
-    format_document,
-    pivot,
-    require_parquet,
-    write_parquet,
-    write_texts,
-)
+from tactile_loc.evaluation.sweep.uncertainty import ComparedMedian
+from tactile_loc.evaluation.text_tables import Row, require_parquet
 from tactile_loc.slots.registry import SLOTS
-from tactile_loc.store.files import read_json, require_writable
+from tactile_loc.store.files import require_writable
 
-SCHEMA_VERSION = 1
-FAILED = "failed"
+Float64 = NDArray[np.float64]
+
+FAILED, BASE, UNPAIRED = "failed", "base", "other touches"  # why a combination is not compared with the base
+VERDICTS = (("better", "worse"), ("faster", "slower"))  # of a smaller, and a larger error; and time
 EVALUATION = "evaluation"  # the stage of a combination's results
 
 IDENTITY = ("object", *SLOTS, "noise", "seed", "count")
@@ -58,21 +48,31 @@ MEASURED = (*ERRORS, *COVERAGES, "nll_nats", *TIMES, "model_s")
 NAMED = ("encoder", "refiner")  # the slots that labels name if no slot varies
 
 
-class ChoiceMedian(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ChoiceMedian:
     """The median error, mm, and time per touch, ms, of one object, noise and choice of components, as means over seeds.
 
-    Error and time are of the same line of the protocol.
-
-    Both are NaN if a combination failed. `choices` has the index of each slot's choice in the plan. `label` names the
-    choices of slots that vary.
+    Error and time are of the same line of the protocol. Both are NaN if a combination failed. Their base is the first
+    choice of each slot. `choices` has the index of each slot's choice in the plan. `label` names the choices of slots
+    that vary.
     """
 
     object: str
     noise: str
     choices: tuple[int, ...]
     label: str
-    error_mm: float
-    time_ms: float
+    error: ComparedMedian
+    time: ComparedMedian
+
+    @property
+    def error_mm(self) -> float:
+        """The median error."""
+        return self.error.median.value
+
+    @property
+    def time_ms(self) -> float:
+        """The median time per touch."""
+        return self.time.median.value
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,21 +95,52 @@ class Sweep:
     def compute_medians(self, line: str) -> list[ChoiceMedian]:
         """Return the median error of `line` for each object, noise and choice of components, in the plan's order."""
         labels, named = name_choices(self.plan), find_varying_slots(self.plan) or NAMED
-        found: dict[tuple[Any, ...], list[list[float]]] = {}
+        grouped: dict[tuple[Any, ...], list[tuple[Combination, Row]]] = {}
         for one, row in zip(self.combinations, self.rows, strict=True):
-            values = (row[f"{line}_median_mm"], row[name_time(line)])
-            key = one.object, one.config.touch.noise, one.place[1:-2]
-            found.setdefault(key, []).append([math.nan if value is None else value for value in values])
-        return [
-            ChoiceMedian(
-                name,
-                noise,
-                choices,
-                " + ".join(labels[slot][k] for slot, k in zip(SLOTS, choices, strict=True) if slot in named),
-                *np.mean(values, axis=0).tolist(),
+            grouped.setdefault((one.object, one.config.touch.noise, one.place[1:-2]), []).append((one, row))
+        found: dict[tuple[Any, ...], ChoiceMedian] = {}
+        touches = {key: [row["touches_id"] for _, row in group] for key, group in grouped.items()}
+        for (name, noise, choices), group in grouped.items():
+            label = " + ".join(labels[slot][k] for slot, k in zip(SLOTS, choices, strict=True) if slot in named)
+            values = (
+                np.array([self.list_touches(one, column) for one, _ in group])
+                for column in (f"{line}_mm", name_time(line))
             )
-            for (name, noise, choices), values in found.items()
-        ]
+            key = name, noise, (0,) * len(choices)
+            base = found.get(key)
+            failed = any(row["error"] for each in (group, grouped[key]) for _, row in each)
+            paired = touches[key] == touches[name, noise, choices]
+            without = FAILED if failed else BASE if base is None else UNPAIRED
+            known = (
+                (None, None)
+                if without == FAILED or base is None or not paired
+                else (base.error.values, base.time.values)
+            )
+            error, time = (
+                ComparedMedian.of(some, other, *words, without)
+                for some, other, words in zip(values, known, VERDICTS, strict=True)
+            )
+            found[name, noise, choices] = ChoiceMedian(name, noise, choices, label, error, time)
+        return list(found.values())
+
+    def list_touches(self, one: Combination, column: str) -> Float64:
+        """Return a value for each touch (T,) of a combination; NaN if it failed."""
+        measured = self.outcomes[one.key].measured or {}
+        return np.array(measured.get(TOUCHES, {}).get(column, [math.nan] * one.count), dtype=np.float64)
+
+    def decompose(self, line: str) -> Decomposition | None:
+        """Return how much each slot that varies explains; None if a combination failed for each object and noise."""
+        places = [1 + SLOTS.index(slot) for slot in find_varying_slots(self.plan)]
+        shape = [len(self.plan.slots[slot]) for slot in find_varying_slots(self.plan)]
+        blocks: dict[Any, Float64] = {}
+        for one in self.combinations:
+            block, seeds = (one.object, one.config.touch.noise), len(self.plan.seeds)
+            errors_mm = blocks.setdefault(block, np.full((*shape, seeds, one.count), math.nan))
+            errors_mm[(*(one.place[place] for place in places), one.place[-1])] = self.list_touches(one, f"{line}_mm")
+        whole = [some.reshape(*shape, -1) for some in blocks.values() if np.isfinite(some).all()]
+        differing = (("object", len(self.plan.objects)), ("noise", len(self.plan.noises)))
+        name = " and ".join(name for name, count in differing if count > 1)
+        return decompose(whole, find_varying_slots(self.plan), name) if whole else None
 
     def find_changed(self) -> dict[str, tuple[str, ...]]:
         """Return the slots that by their nature change more than the method: each with "grid", "touches", or both.
@@ -200,118 +231,3 @@ def make_rows(plan: Plan, combinations: Iterable[Combination], outcomes: Mapping
         }
         rows.append({column: known.get(column) for column in columns})
     return rows
-
-
-def require_line(line: str) -> str:
-    """Return `line` if it is a line of the protocol. Raises ConfigError otherwise."""
-    if line not in LINES:
-        raise ConfigError(f"there is no line {line!r}; {advise_choice(line, LINES)}")
-    return line
-
-
-def write_sweep_tables(out: Path, sweep: Sweep, line: str) -> list[Path]:
-    """Write the tables of a sweep into the folder `out` and return their paths. Raises OutputError.
-
-    The summary shows the errors of `line`, one of the protocol's LINES.
-    """
-    csv, summary = format_csv(sweep.rows), format_summary(sweep, line)
-    written = write_texts(out, "sweep", record_sweep(sweep, line), csv=csv, md=summary)
-    return [*written, write_parquet(out / "sweep.parquet", sweep.rows)]
-
-
-def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
-    """Return the plan, the versions, the number of built stages, and each row with its settings, as JSON values."""
-    configurations = {one.key: one.describe() for one in sweep.combinations}
-    return build_document(
-        SCHEMA_VERSION,
-        protocol_version=PROTOCOL_VERSION,
-        line=line,
-        plan=sweep.plan.describe(),
-        combinations=len(sweep.combinations),
-        failed=sweep.failed,
-        built=sweep.built,
-        rows=[{**row, "configuration": configurations[row["key"]]} for row in sweep.rows],
-    )
-
-
-def read_sweep(folder: Path) -> dict[str, Any]:
-    """Read the sweep.json of a folder. Raises ConfigError if the file is missing or damaged."""
-    path = folder / "sweep.json"
-    try:
-        found = read_json(path)
-        _require_rows(found["rows"])
-        _ = dict(found["versions"])
-    except FileNotFoundError as error:
-        raise ConfigError(f"there is no file {path}; give the `out` folder of a finished sweep") from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"{path} is damaged ({type(error).__name__}); run this sweep again") from error
-    return dict(found)
-
-
-def _require_rows(rows: list[dict[str, Any]]) -> None:
-    """Raise an error that `read_sweep` catches if a row lacks its combination, or has an error that is not a number."""
-    if not rows:
-        raise ValueError("it has no row")
-    for row in rows:
-        chosen = [row["configuration"][slot] for slot in SLOTS]
-        said = [row[name] for name in IDENTITY], [(one["name"], one["options"].items()) for one in chosen]
-        medians = [value for name, value in row.items() if name.endswith("_median_mm")]
-        if not said or not all(value is None or isinstance(value, int | float) for value in medians):
-            raise ValueError("an error is not a number")
-
-
-def format_summary(sweep: Sweep, line: str) -> str:
-    """Return, as Markdown, a table for each noise with the median ADD of `line`, mm, and a list of failures."""
-    plan = sweep.plan
-    seeds = f", mean over seeds {', '.join(map(str, plan.seeds))}" if len(plan.seeds) > 1 else ""
-    parts: list[str | Table] = [
-        f"Median ADD (symmetric poses equal) of `{line}` over {plan.count} simulated touches, "
-        f"mm{seeds}. The best value of each column is bold."
-    ]
-    same = [f"{slot} {choices[0].name}" for slot, choices in plan.slots.items() if len(choices) == 1]
-    if same:
-        parts.append(f"Common to all rows: {', '.join(same)}.")
-    parts += [_state_changes(sweep.find_changed())] if sweep.find_changed() else []
-    medians = sweep.compute_medians(line)
-    for noise in plan.noises:
-        parts += [f"## Noise: {noise}", tabulate_medians(medians, noise, _mark_best)]
-    if sweep.failed:
-        parts += [f"## Failed: {sweep.failed} of {len(sweep.combinations)}", "\n".join(_list_failures(sweep))]
-    return format_document(f"Sweep: {line}", parts)
-
-
-def _state_changes(changed: Mapping[str, Sequence[str]]) -> str:
-    """State which slots change the grid or the touches."""
-    said = [f"`{slot}` also changes the {' and the '.join(names)}" for slot, names in changed.items()]
-    return f"Not all else is equal: {'; '.join(said)}. The columns {' and '.join(IDS)} show which rows share them."
-
-
-def tabulate_medians(medians: Sequence[ChoiceMedian], noise: str, cell: Callable[[float, float], str]) -> Table:
-    """Return a row for each label, and a column for each object, for one noise.
-
-    `cell` gives the text of an error, mm, beside the best error of the column. A failed combination has FAILED.
-    """
-    found = [median._asdict() for median in medians if median.noise == noise]
-    best_mm: dict[str, float] = {}
-    for one in found:
-        best_mm[one["object"]] = np.fmin(one["error_mm"], best_mm.get(one["object"], np.nan))
-
-    def format_cell(one: dict[str, Any]) -> str:
-        return FAILED if math.isnan(one["error_mm"]) else cell(one["error_mm"], best_mm[one["object"]])
-
-    header, *rows = pivot(found, ("label",), "object", format_cell)
-    return [["components", *header[1:]], *rows]
-
-
-def _mark_best(error_mm: float, best_mm: float) -> str:
-    """Return an error in mm, in bold if it is the best."""
-    text = format_mm(1e-3 * error_mm)
-    return f"**{text}**" if text == format_mm(1e-3 * best_mm) else text
-
-
-def _list_failures(sweep: Sweep) -> Iterator[str]:
-    for one in sweep.combinations:
-        error = sweep.outcomes[one.key].error
-        if error:
-            names = ", ".join(getattr(one.config, slot).name for slot in sweep.plan.slots)
-            yield f"- {one.object}, {names}, noise {one.config.touch.noise}, seed {one.config.seed}: {error}"

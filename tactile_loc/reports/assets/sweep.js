@@ -17,11 +17,18 @@
   draw("scatter", (c) => {
     const asked = value("time"), time = asked === "line" ? data.line_times[value("line")] : asked;
     const by = value("colour"), error = column(), unit = time.endsWith("_s") ? "s" : "ms";
+    const low = (name) => name.replace(/(_median)?_(mm|ms)$/, "_low_$2"), high = (name) => low(name).replace("_low_", "_high_");
+    const reach = (rows, name, k) => ({ // the 95 % interval
+      type: "data", symmetric: false, thickness: 1, width: 0, color: colour(k),
+      array: rows.map((row) => Math.max(0, (row[high(name)] ?? row[name]) - row[name])),
+      arrayminus: rows.map((row) => Math.max(0, row[name] - (row[low(name)] ?? row[name]))),
+    });
     const traces = distinct(data.rows, by).map((one, k) => {
       const rows = shown.filter((row) => row[by] === one && row[error] !== null && row[time] !== null);
       return {
         type: "scatter", mode: "markers", name: plain(one ?? "–"), x: rows.map((row) => row[time]),
         y: rows.map((row) => row[error]), text: rows.map(named),
+        error_x: reach(rows, time, k), error_y: reach(rows, error, k),
         marker: { color: colour(k), size: 9, opacity: 0.8, line: { color: c.paper, width: 1 } },
         hovertemplate: `%{text}<br><b>%{y:.3g} mm</b>, %{x:.3g} ${unit}<extra></extra>`,
       };

@@ -11,7 +11,7 @@ from message_helpers import missing, naming
 
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.evaluation.sweep.comparison import compare, format_texts, summarise, write_comparison
-from tactile_loc.evaluation.sweep.sweep import read_sweep, record_sweep
+from tactile_loc.evaluation.sweep.tables import read_sweep, record_sweep
 
 MM = {"none": 4.0, "icp": 1.0, "filterreg": 0.5}
 

@@ -21,7 +21,8 @@ from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.sweep.combination import choose_touches
 from tactile_loc.evaluation.sweep.plan import Plan
-from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, format_summary, read_sweep, run_sweep
+from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, run_sweep
+from tactile_loc.evaluation.sweep.tables import format_summary, read_sweep
 from tactile_loc.evaluation.workers import ClusterError, DaskWorkers, LocalWorkers
 from tactile_loc.io.config import EXACT
 from tactile_loc.io.meshes.mesh_files import load_object
@@ -168,7 +169,12 @@ def test_a_larger_plan_reuses_the_rows_of_a_smaller_plan(swept, folder, tiny):
 def test_a_sweep_writes_its_tables_and_figures(swept, folder):
     written = write_sweep(folder / "written", swept, "reg-1")
     tables, figures = [f"sweep.{suffix}" for suffix in ("json", "csv", "md", "parquet")], ["error-time", "effects"]
-    assert [path.name for path in written] == [*tables, *(f"{name}.png" for name in figures)]
+    assert [path.name for path in written] == [
+        *tables,
+        "differences.csv",
+        "touches.csv",
+        *(f"{name}.png" for name in figures),
+    ]
     rows = [{k: v for k, v in row.items() if k != "configuration"} for row in read_sweep(folder / "written")["rows"]]
     assert rows == swept.rows
     with written[1].open() as file:
@@ -181,7 +187,7 @@ def test_a_sweep_writes_its_tables_and_figures(swept, folder):
     assert record["plan"]["refiner"][1]["name"] == "filterreg"
     assert {"tactile-loc", "python", "numpy"} <= set(record["versions"])
     assert record["rows"][1]["configuration"]["grid"]["options"]["spacing_mm"] == 8.0
-    for path in written[4:]:
+    for path in written[6:]:
         assert path.read_bytes().startswith(b"\x89PNG")
 
 

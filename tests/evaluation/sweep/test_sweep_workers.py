@@ -20,7 +20,15 @@ from tactile_loc.core.runtime.errors import UnknownPluginError
 from tactile_loc.evaluation.jobs import JOURNALS, FinishedJobs, do_job
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, TIMED
-from tactile_loc.evaluation.sweep.combination import COVERAGES, ERRORS, TIMES, CombinationJob, combine, summarise
+from tactile_loc.evaluation.sweep.combination import (
+    COVERAGES,
+    ERRORS,
+    TIMES,
+    TOUCHES,
+    CombinationJob,
+    combine,
+    summarise,
+)
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import Sweep, run_sweep
 from tactile_loc.evaluation.table import ExampleTable
@@ -214,13 +222,13 @@ def make_table(**columns: float) -> ExampleTable:
     errors_m["random add_m"] = np.array([10e-3, 20e-3, 30e-3])
     seconds = np.array([[1, 2, 3, 4, 20], [1, 2, 3, 40, 20], [9, 2, 3, 5, 30]]) * 1e-3
     times = {f"{stage}_s": seconds[:, k] for k, stage in enumerate(TIMED)}
-    labels = {"object": "pin", "encoder": "pixel", "touches": 1, "grid_poses": 7}
+    labels = {"object": "pin", "encoder": "pixel", "touches": 1, "grid_poses": 7, "refused": 2}
     return ExampleTable.make({**errors_m, **times}, **labels, **{**dict.fromkeys(POSTERIOR_METRICS, 0.4), **columns})
 
 
 def test_a_summary_has_errors_in_mm_and_shares_and_times_in_ms():
     found = summarise(make_table())
-    assert set(found) == {"grid_poses", *ERRORS, *COVERAGES, "nll_nats", *TIMES}
+    assert set(found) == {"grid_poses", *ERRORS, *COVERAGES, "nll_nats", *TIMES, TOUCHES}
     line = LINES.index("reg-1") + 1
     assert found["reg-1_median_mm"] == pytest.approx(2 * line)
     assert found["reg-1_mean_mm"] == pytest.approx(7 / 3 * line, rel=1e-5)
@@ -232,6 +240,10 @@ def test_a_summary_has_errors_in_mm_and_shares_and_times_in_ms():
     assert found["chosen_ms"] == 49  # the median of 30, 66 and 49
     assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [1, 1, 1]
     assert (found["nll_nats"], found["grid_poses"]) == (0.4, 7)
+    assert found[TOUCHES]["reg-1_mm"] == pytest.approx([line, 2 * line, 4 * line])
+    assert found[TOUCHES]["reg-1_ms"] == pytest.approx([10, 46, 19])
+    assert found[TOUCHES]["refused"] == [2, 2, 2]
+    assert found["reg-1_low_mm"] is None, "three touches are too few for an interval"
     found = summarise(make_table(nll_nats=np.inf, credible_level=0.9))
     assert found["nll_nats"] is None, "an infinite value is missing"
     assert [found[f"coverage_{level}"] for level in (50, 80, 95)] == [0, 0, 1]
