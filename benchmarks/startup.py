@@ -2,8 +2,9 @@
 """The time from the start of a process to its first result, and the size of stored objects.
 
 Each row of the first table is a process that runs `--runs` times, with medians of its time and of its processor time.
-The first `tactile-loc run`, with an empty store and nothing compiled, runs once. The second table has the size of each
-object in the store, and the time to build its places and to open them. All folders are temporary.
+The first `tactile-loc run`, with an empty store and nothing compiled, runs once. Further first runs of each object have
+compiled code, and an empty store each. The second table has the size of each object in the store, and the time to build
+its places and to open them. All folders are temporary.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
-from asked import open_asked
+from asked import open_asked, split_asked
 
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.data import DEMO_OBJECTS
@@ -42,19 +43,24 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         print("| process | median, s | processor time, s | runs |\n|---|---|---|---|")
-        for row in time_processes(folder, arguments.runs):
+        for row in time_processes(folder, arguments.objects, arguments.runs):
             print(row, flush=True)
         print("\n| object | places | in the store, MB | build places, s | open places, ms |\n|---|---|---|---|---|")
         for path in arguments.objects:
             print(measure_object(path, folder / "objects" / Path(path).stem), flush=True)
 
 
-def time_processes(folder: Path, runs: int) -> Iterator[str]:
+def time_processes(folder: Path, objects: Sequence[str], runs: int) -> Iterator[str]:
     """Yield the rows of the first table."""
     caches = {"XDG_CACHE_HOME": str(folder / "cache"), "NUMBA_CACHE_DIR": str(folder / "compiled")}
     environment = {**os.environ, **caches, "TACTILE_LOC_STORE": str(folder / "store")}
     run = [sys.executable, "-c", CLI, "run", "--out", str(folder / "out")]
     yield format_times("first `tactile-loc run`", [time_process(run, environment)])
+    for asked in objects:
+        path, units = split_asked(asked)
+        words = [*run, "--object", path, "--units", units, "--store"]
+        times = [time_process([*words, str(folder / f"{Path(path).stem}-{k}")], environment) for k in range(runs)]
+        yield format_times(f"first `tactile-loc run` of the {Path(path).stem}, compiled", times)
     yield format_times("`tactile-loc run` again", [time_process(run, environment) for _ in range(runs)])
     simulating = Localizer.create("hook", store=folder / "store")
     touch = write_touch(folder / "touch.npz", simulating.simulate(seed=3)[0])

@@ -240,18 +240,18 @@ def _find_height_at(p, x, y):
 def _fill_lowest_curved(first, last, triangles, T, gel, result):
     """Fill `result` (N,) with the least height above the gel of each pose from first to last."""
     rectangle, relief, lattice = gel
-    p, centre, highest = np.empty((3, 3)), np.empty(3), relief.max()
+    p, highest = np.empty((3, 3)), relief.max()
     x0, x1, y0, y1 = rectangle[0], rectangle[1], rectangle[2], rectangle[3]
     for i in range(first, last):
         best = np.inf
         for b in range(len(triangles.radii)):
-            place(T[i], triangles.centres[b], centre)
+            centre = place(T[i], triangles.centres[b])
             r = triangles.radii[b]
             if centre[2] - r - highest >= best or _is_beside(centre, r, x0, x1, y0, y1):
                 continue
             for f in range(triangles.starts[b], triangles.starts[b + 1]):
                 for c in range(3):
-                    place(T[i], triangles.corners[f, c], p[c])
+                    p[c, 0], p[c, 1], p[c, 2] = place(T[i], triangles.corners[f, c])
                 if min(p[0, 2], p[1, 2], p[2, 2]) - highest < best:
                     best = min(best, _find_lowest_inside(p, x0, x1, y0, y1, relief, lattice))
         result[i] = best

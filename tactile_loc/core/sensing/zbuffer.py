@@ -68,18 +68,16 @@ def _draw(first, last, triangles, T, camera, slopes, drawn):
     Unless the second array of `drawn` is empty, fill it with the indices of the triangles that the rays hit.
     """
     (slopes_x, slopes_y), (depth, which) = slopes, drawn
-    placed, centre = np.empty((3, 3)), np.empty(3)
     pinhole, far = camera[0], camera[6]
     # slopes of the outermost rays; the planes through these rays bound the view
     left, right, top, bottom = slopes_x[0], slopes_x[-1], slopes_y[0], slopes_y[-1]
     for i in range(first, last):
-        picture = depth[i]
+        picture, hits = depth[i], which[i]  # taken here, because counting references is slow
         for v in range(picture.shape[0]):
             for u in range(picture.shape[1]):
                 picture[v, u] = np.inf
         for b in range(len(triangles.radii)):
-            place(T[i], triangles.centres[b], centre)
-            x, y, z = centre
+            x, y, z = place(T[i], triangles.centres[b])
             r = triangles.radii[b]
             k = z if pinhole else 1.0
             if (
@@ -91,17 +89,23 @@ def _draw(first, last, triangles, T, camera, slopes, drawn):
             ):
                 continue
             for f in range(triangles.starts[b], triangles.starts[b + 1]):
-                for a in range(3):
-                    place(T[i], triangles.corners[f, a], placed[a])
-                if min(placed[0, 2], placed[1, 2], placed[2, 2]) < far:
-                    _draw_triangle(f, placed, camera, slopes_x, slopes_y, picture, which[i])
+                p = place(T[i], triangles.corners[f, 0])
+                q = place(T[i], triangles.corners[f, 1])
+                s = place(T[i], triangles.corners[f, 2])
+                if min(p[2], q[2], s[2]) < far:
+                    box = _find_box(p, q, s, camera, picture.shape[1], picture.shape[0])
+                    if box[0] <= box[1] and box[2] <= box[3]:
+                        _draw_triangle(f, (p, q, s), box, camera, slopes, (picture, hits))
 
 
 @njit
-def place(T, p, placed):
-    """Fill `placed` (3,) with the point p (3,) moved by the pose T (4, 4)."""
-    for a in range(3):
-        placed[a] = T[a, 0] * p[0] + T[a, 1] * p[1] + T[a, 2] * p[2] + T[a, 3]
+def place(T, p):
+    """Return the point p (3,) moved by the pose T (4, 4), as a tuple."""
+    return (
+        T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
+        T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
+        T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
+    )
 
 
 @njit
@@ -114,12 +118,10 @@ def _is_beyond(outside, slope, pinhole, r):
 
 
 @njit
-def _draw_triangle(f, corners, camera, slopes_x, slopes_y, picture, which):
-    """Draw triangle number f, whose corners (3, 3) are in the camera frame."""
-    p, q, s = corners[0], corners[1], corners[2]
-    u0, u1, v0, v1 = _find_box(p, q, s, camera, picture.shape[1], picture.shape[0])
-    if u0 > u1 or v0 > v1:
-        return
+def _draw_triangle(f, corners, box, camera, slopes, drawn):
+    """Draw triangle number f, whose three corners are in the camera frame, in the pixels of `box` (see `_find_box`)."""
+    (p, q, s), (u0, u1, v0, v1) = corners, box
+    (slopes_x, slopes_y), (picture, which) = slopes, drawn
     pinhole, far = camera[0], camera[6]
     zp, zq, zs = (p[2], q[2], s[2]) if pinhole else (1.0, 1.0, 1.0)
     # The rows of P's inverse, times the determinant. The weight of a corner is a x + b y + c.

@@ -22,7 +22,7 @@ from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.images import summarize
 from tactile_loc.io.meshes.gltf_files import read_gltf
 from tactile_loc.io.meshes.polygon_files import read_obj, read_off, read_ply, read_stl
-from tactile_loc.io.meshes.polygons import EXPORT_AGAIN, Polygons
+from tactile_loc.io.meshes.polygons import EXPORT_AGAIN, Polygons, check_closed, weld
 from tactile_loc.io.meshes.step_files import convert_step, is_step
 from tactile_loc.store.files import link_plainly
 
@@ -65,13 +65,11 @@ def read_surface(path: Path) -> Surface:
         raise ObjectError(f"there is no file {path}; check the path.{near} Demo objects: {', '.join(DEMO_OBJECTS)}")
     if path.suffix.lower() in ARCHIVES:
         raise ObjectError(f"{path} is an archive; unpack it and give its mesh file")
-    import trimesh
-
     try:
         with np.errstate(all="ignore"):  # numbers that are too large or NaN are refused
             polygons, metres_per_unit = _read_polygons(path)
             polygons.require_valid(path)
-            faces = polygons.triangulate(path)
+            vertices, faces = weld(polygons.vertices, polygons.triangulate(path))
     except TactileLocError:
         raise
     except ImportError as error:
@@ -83,15 +81,10 @@ def read_surface(path: Path) -> Surface:
     except Exception as error:
         reason = summarize(error)[:120]
         raise ObjectError(f"{path} cannot be read as a mesh ({reason}); give an STL, OBJ, PLY or STEP file") from error
-    plain = trimesh.Trimesh(polygons.vertices, faces, process=False)
-    plain.merge_vertices()
-    plain.update_faces(plain.nondegenerate_faces(height=0))
-    plain.remove_unreferenced_vertices()  # stray vertices would enlarge the bounding box
-    if len(plain.faces) == 0:
+    if len(faces) == 0:
         raise ObjectError(f"{path} has zero extent: all its faces are points or lines; {EXPORT_AGAIN}")
-    vertices, faces = np.asarray(plain.vertices, float), np.asarray(plain.faces, np.int64)
-    watertight = bool(plain.is_watertight)
-    if watertight and plain.is_winding_consistent and plain.volume < 0:
+    watertight, inverted = check_closed(vertices, faces)
+    if inverted:
         faces = np.ascontiguousarray(faces[:, ::-1])
     return Surface(vertices, faces, watertight, metres_per_unit)
 

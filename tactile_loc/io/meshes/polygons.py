@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_loc.core.runtime.errors import ObjectError
 
 FLAT = 1e-10  # of a polygon's squared size: a corner with a smaller area is straight
+MERGED = 1e-8  # of the file's unit: vertices that are equal after rounding to it are one vertex
 EXPORT_AGAIN = "export it again as a surface mesh"
 
 
@@ -74,6 +75,38 @@ class Polygons(NamedTuple):
                     )
                 triangles.append(faces[index][np.array(clipped, np.int64).reshape(-1, 3)])
         return np.concatenate(triangles)
+
+
+def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Merge equal vertices (V, 3) of triangles (F, 3). Drop triangles without area, and vertices without a triangle."""
+    used, faces = _renumber(faces)
+    rounded = (vertices[used] / MERGED).round()
+    _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    kept, faces = _renumber(first[which.ravel()][faces])  # the first of equal vertices stands for them
+    used = used[kept]
+    a, b, c = np.moveaxis(vertices[used[faces]], 1, 0)
+    left, faces = _renumber(faces[np.cross(b - a, c - a).any(axis=1)])
+    return vertices[used[left]], faces
+
+
+def _renumber(faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sorted numbers in triangles (F, 3), and the triangles with places in this list instead."""
+    used, which = np.unique(faces, return_inverse=True)
+    return used, which.reshape(-1, 3)
+
+
+def check_closed(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[bool, bool]:
+    """Return whether triangles (F, 3) are a closed surface, and whether all of its triangles face inwards.
+
+    A surface is closed if each edge belongs to two triangles.
+    """
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    ends = np.array([len(vertices), 1])
+    closed = bool((np.unique(np.sort(edges, axis=1) @ ends, return_counts=True)[1] == 2).all())
+    if not closed or len(np.unique(edges @ ends)) < len(edges):  # two neighbours face opposite sides
+        return closed, False
+    a, b, c = np.moveaxis((vertices - vertices[0])[faces], 1, 0)
+    return True, bool(np.einsum("fi,fi->", a, np.cross(b, c)) < 0.0)
 
 
 def _flatten(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -223,9 +223,17 @@ def _is_low(heights, near, level):
             limit = heights[r, c] - level
             if not np.isfinite(limit):
                 continue
+            up, down, left, right = (
+                max(0, r - near),
+                min(rows - 1, r + near),
+                max(0, c - near),
+                min(columns - 1, c + near),
+            )
+            if min(heights[up, c], heights[down, c], heights[r, left], heights[r, right]) < limit:  # on most slopes
+                continue
             lowest = True
-            for i in range(max(0, r - near), min(rows, r + near + 1)):
-                for j in range(max(0, c - near), min(columns, c + near + 1)):
+            for i in range(up, down + 1):
+                for j in range(left, right + 1):
                     if heights[i, j] < limit and (i - r) ** 2 + (j - c) ** 2 <= near**2:
                         lowest = False
                         break
