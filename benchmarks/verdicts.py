@@ -7,7 +7,8 @@ the shares that are right, and the parts. `--picture` writes them as a picture.
 
 The plain gap rule calls a result certain if no listed pose that is more than 1 mm away has an imprint IoU within a gap
 of the first one's. In each row, the gap is chosen for 2 % of wrong answers among the same results, so the rule knows
-more than a verdict can. A touch determines a pose if the search of `determined.py` finds no other pose that fits.
+more than a verdict can. The interval of the difference is that of redrawn parts, with the same gap. A touch determines
+a pose if the search of `determined.py` finds no other pose that fits.
 """
 
 from __future__ import annotations
@@ -99,6 +100,7 @@ def print_verdicts(rows: Sequence[Row]) -> None:
     right, certain = find_first_right(rows), np.array([row["verdict"] == "certain" for row in rows])
     gaps = np.array([row["iou_gap"] for row in rows])
     columns = "results", "number", "first right", "certain", "wrong of these", "right by the gap rule", "right by ours"
+    part, times = redraw_parts(rows)
     lines = []
     for name, some in list_groups(rows):
         sure, wrong = certain & some, int((certain & some & ~right).sum())
@@ -106,8 +108,12 @@ def print_verdicts(rows: Sequence[Row]) -> None:
         share = f"{wrong} of {sure.sum()} ({wrong / max(1, sure.sum()):.1%})"
         shares = right[some].mean(), certain[some].mean(), ruled.mean(), (sure & right)[some].mean()
         first, stated, by_rule, ours = map("{:.1%}".format, shares)
-        lines.append([name, str(some.sum()), first, stated, share, by_rule, ours])
-    print_table(columns, lines)
+        more = np.bincount(part[some], (sure & right)[some] * 1.0 - ruled, times.shape[1])
+        number = times @ np.bincount(part[some], minlength=times.shape[1])
+        low, high = np.quantile(100 * (times @ more)[number > 0] / number[number > 0], (0.025, 0.975))
+        apart = f"{100 * (shares[3] - shares[2]):+.1f} ({low:+.1f} to {high:+.1f})"
+        lines.append([name, str(some.sum()), first, stated, share, by_rule, ours, apart])
+    print_table((*columns, "ours less the rule, points"), lines)
     print_determined(rows)
     poor = np.array([row["verdict"] == "poor fit" for row in rows])
     print(f"\npoor fits among right first poses: {poor[right].mean():.1%}; among wrong ones: {poor[~right].mean():.1%}")
@@ -149,17 +155,21 @@ def measure_reliability(rows: Sequence[Row], edges: Sequence[float]) -> Iterator
     The intervals are of redrawn parts.
     """
     p, right = np.array([row["right"] for row in rows]), find_first_right(rows)
-    names = sorted({row["part"] for row in rows})
-    part = np.array([names.index(row["part"]) for row in rows])
-    times = np.random.default_rng(0).multinomial(len(names), np.full(len(names), 1 / len(names)), DRAWS)
+    part, times = redraw_parts(rows)
     for low, high in itertools.pairwise(edges):
         some = (p >= low) & (p < high)
         if not some.any():
             continue
-        all_of, right_of = (np.bincount(part[mask], minlength=len(names)) for mask in (some, some & right))
+        all_of, right_of = (np.bincount(part[mask], minlength=times.shape[1]) for mask in (some, some & right))
         shares = (times @ right_of) / np.maximum(times @ all_of, 1)
         interval = np.quantile(shares[times @ all_of > 0], (0.025, 0.975))
         yield float(p[some].mean()), float(right[some].mean()), *map(float, interval), int(some.sum())
+
+
+def redraw_parts(rows: Sequence[Row]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the number of the part of each of R rows, (R,), and how often each of P parts is in each draw, (D, P)."""
+    names, part = np.unique([row["part"] for row in rows], return_inverse=True)
+    return part, np.random.default_rng(0).multinomial(len(names), np.full(len(names), 1 / len(names)), DRAWS)
 
 
 def print_parts(rows: Sequence[Row], certain: Bools, right: Bools) -> None:
