@@ -1,36 +1,37 @@
 #!/usr/bin/env python3
-"""The learned encoder on a GPU: times of a training epoch, and of encoding and matching a touch.
+"""The learned encoder on a GPU: its training on one object, its errors, and the times of encoding and matching.
 
-An epoch of `--preset`, on a grid of about `--poses` poses of a demo object, renders touches, takes the training steps,
-and encodes the keys. Encoding starts with contact depths in the memory of `--device`, and ends with the scores of
-20 000 keys in this memory. Times are medians in one run, for one touch and for 256, in float32, in bfloat16, and as a
-CUDA graph. `--device cpu` runs the same without graphs, as a rehearsal.
+The encoder of `--preset` is trained on the face grid of a demo object. Then `pixel`, the preset `cpu` and the trained
+encoder locate the same `--touches` with strong noise, by the protocol of `tactile-loc paper`. The command resumes with
+the same `--store`.
+
+Encoding starts with contact depths in the memory of `--device`, and ends with the scores of 20 000 keys in this memory.
+Times are medians in one run, for one touch and for 256, in float32, in bfloat16, and as a CUDA graph. `--device cpu`
+runs the same without graphs, as a rehearsal.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import logging
 import platform
-import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from single_touch import choose_spacing
 from torch import nn
 
-from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.evaluation.paper_tables import PAPER_LINES, find_scale_m, summarise_lines
+from tactile_loc.evaluation.protocol import evaluate
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.encoders.moco.backbones import make_backbone
 from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe
-from tactile_loc.plugins.encoders.moco.training import Trainer
-from tactile_loc.simulate.listed_training import ListedProblem
-from tactile_loc.store.store import StageStore
 
 BATCHES = (1, 256)
 
@@ -47,33 +48,35 @@ def make_network(recipe: Recipe) -> nn.Module:
     )
 
 
-def time_epochs(recipe: Recipe, arguments: argparse.Namespace, device: torch.device) -> dict[str, float]:
-    """Train two epochs. Return the seconds of the second epoch, in all and by part."""
-    obj = load_object(arguments.object)
-    settings = {"sensor": "gelslim", "shape_px": recipe.image_px}
-    grid = {"name": "face", "spacing_mm": choose_spacing(obj, settings, arguments.poses)}
-    with tempfile.TemporaryDirectory() as store:
-        localizer = Localizer.create(arguments.object, store=StageStore(Path(store)), grid=grid, **settings)
-        model = localizer.model
-        problem = ListedProblem(model.grid, localizer.coarse_scene, localizer.sampler, model.shapes.shards)
-        trainer = Trainer(recipe, problem, make_network(recipe), device)
-        rendered = trainer.source.epochs(0, 2)
-        trainer._train_epoch(next(rendered))
+def measure_encoders(recipe: Recipe, arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Train the encoders, and yield the times and the normalised errors of each."""
+    own = {"preset": arguments.preset, "epochs": recipe.epochs, "queries": recipe.queries, "device": arguments.device}
+    encoders = {arguments.preset: own, "cpu": {"preset": "cpu", "device": arguments.device}, "pixel": {}}
+    encoders = {name: encoders[name] for name in arguments.encoders or encoders}
+    touches = SimulatedTouches("strong", arguments.seed)
+    for label, options in encoders.items():
+        localizer = Localizer.create(
+            arguments.object,
+            store=arguments.store,
+            sensor="gelslim",
+            shape_px=recipe.image_px,
+            grid={"name": "face", "spacing_mm": arguments.spacing_mm},
+            encoder={"name": "moco" if options else "pixel", **options},
+        )
         start = time.perf_counter()
-        queries = next(rendered)
-        waited = time.perf_counter() - start
-        trainer._train_epoch(queries)
-        _finish(device)
-        whole = time.perf_counter() - start
-        start = time.perf_counter()
-        trainer._keys(trainer.key_network, float(problem.key_presses_m[-1]))
-        _finish(device)
-        return {
-            "poses": model.size,
-            "queries": recipe.queries,
-            "epoch_s": whole,
-            "keys_s": time.perf_counter() - start,
-            "waiting_for_renders_s": waited,
+        localizer.listed.matcher(localizer.scene.geometry.max_depth_m)
+        trained_s = time.perf_counter() - start
+        table = evaluate(localizer, arguments.touches, touches)
+        rows = summarise_lines(table, PAPER_LINES)
+        yield {
+            "encoder": label,
+            "options": options,
+            "poses": localizer.model.size,
+            "prepared_s": trained_s,
+            "located_s": time.perf_counter() - start - trained_s,
+            "random_mm": find_scale_m(table) * 1e3,
+            "normalised": {row["line"]: row["median_normalised"] for row in rows},
+            "median_mm": {row["line"]: row["median_m"] * 1e3 for row in rows},
         }
 
 
@@ -138,22 +141,30 @@ def _finish(device: torch.device) -> None:
 def main() -> None:
     """Run the benchmark, and print the results as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--object", default="pin", help="demo object or mesh file")
+    parser.add_argument("--object", default="elbow_pipe", help="demo object or mesh file")
     parser.add_argument("--preset", default="paper", choices=sorted(PRESETS))
-    parser.add_argument("--poses", type=int, default=20_000, help="approximate poses of the grid")
+    parser.add_argument("--encoders", nargs="+", help="only these: a preset, or pixel")
+    parser.add_argument("--spacing-mm", type=float, default=4.0, help="spacing of the grid's poses, mm")
+    parser.add_argument("--epochs", type=int, help="default: the preset's")
     parser.add_argument("--queries", type=int, help="touches in each epoch; default: the preset's")
-    parser.add_argument("--keys", type=int, default=20_000, help="keys to match a touch with")
-    parser.add_argument("--rounds", type=int, default=100)
+    parser.add_argument("--touches", type=int, default=60, help="touches to locate with each encoder")
+    parser.add_argument("--seed", type=int, default=1, help="seed of these touches")
+    parser.add_argument("--keys", type=int, default=20_000, help="keys to match a touch with, for the times")
+    parser.add_argument("--rounds", type=int, default=100, help="rounds of the times")
+    parser.add_argument("--store", type=Path, help="folder of built models; default: the usual store")
     parser.add_argument("--device", default="cuda", choices=("cuda", "cpu"))
     arguments = parser.parse_args()
     if arguments.device == "cuda" and not torch.cuda.is_available():
         parser.error("torch sees no CUDA device here; rehearse with --device cpu")
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     device = torch.device(arguments.device)
-    recipe = replace(PRESETS[arguments.preset], **({"queries": arguments.queries} if arguments.queries else {}))
+    given = {name: getattr(arguments, name) for name in ("epochs", "queries") if getattr(arguments, name)}
+    recipe = replace(PRESETS[arguments.preset], **given)
     chip = torch.cuda.get_device_name() if device.type == "cuda" else platform.processor() or "CPU"
-    print(json.dumps({"chip": chip, "torch": torch.__version__, "recipe": asdict(recipe)}, indent=1), flush=True)
-    print(json.dumps({"latency_ms": time_latencies(recipe, arguments.keys, device, arguments.rounds)}, indent=1))
-    print(json.dumps({"training": time_epochs(recipe, arguments, device)}, indent=1))
+    print(json.dumps({"chip": chip, "torch": torch.__version__, "recipe": asdict(recipe)}), flush=True)
+    print(json.dumps({"latency_ms": time_latencies(recipe, arguments.keys, device, arguments.rounds)}), flush=True)
+    for row in measure_encoders(recipe, arguments):
+        print(json.dumps(row), flush=True)
 
 
 if __name__ == "__main__":

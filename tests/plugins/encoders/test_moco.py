@@ -186,18 +186,18 @@ def test_sampled_softmax_keeps_every_target_key():
 
 def test_the_input_holds_the_averaged_observed_contact_and_the_press(problem):
     geometry = problem.scene.geometry
-    depth = np.full((1, *geometry.shape), geometry.max_depth_m, np.float32)
+    depth = torch.full((1, *geometry.shape), geometry.max_depth_m)
     depth[0, : geometry.height_px // 2] = 0.0
     depth[0, 0, 0] = 0.3 * geometry.max_depth_m
     press_m = np.array([0.5 * geometry.max_depth_m])
-    planes = recipe.make_input_planes(depth, press_m, geometry, 40, "depth")
+    planes = recipe.Recipe(image_px=40, signal="depth").make_planes(depth, press_m, geometry)
     assert planes.shape == (1, 3, *geometry.resize_long_side(40).shape)
     np.testing.assert_allclose(planes[0, 0].mean(), 0.5, atol=0.02)
     np.testing.assert_allclose(planes[0, 1].mean(), 0.25, atol=0.01)
     np.testing.assert_allclose(planes[0, 2], 0.5)
-    whole = recipe.make_input_planes(depth, press_m, geometry, max(geometry.shape), "depth")
+    whole = recipe.Recipe(image_px=max(geometry.shape), signal="depth").make_planes(depth, press_m, geometry)
     np.testing.assert_allclose(whole[0, 1, 0, 0], 0.2, atol=1e-6)
-    mask_alone = recipe.make_input_planes(depth, press_m, geometry, 40, "binary")
+    mask_alone = recipe.Recipe(image_px=40, signal="binary").make_planes(depth, press_m, geometry)
     assert torch.equal(mask_alone, planes[:, [0, 2]])
 
 

@@ -37,7 +37,8 @@ from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
 from tactile_loc.plugins.encoders.moco.training import Trainer
 
 PLANES = "planes"  # key of the number of input planes in the weights file; older files have none
-SMALLER = 4  # divisor of the batch size for a grid of places: more and smaller steps learn faster
+# preset "cpu" for a grid of places: small steps learn faster
+PLACES: dict[str, Any] = {"batch": 64, "queries": 1024, "epochs": 8}
 NEUTRAL: dict[str, JsonValue] = {"neutral": True}
 
 
@@ -118,8 +119,10 @@ class MocoEncoder(Encoder):
         _require_memory(self.recipe, len(problem))
         _reset_threads()
         recipe, options = self.recipe, self.options
-        if problem.partly_seen and options.batch is None:
-            recipe = replace(recipe, batch=max(2, recipe.batch // SMALLER))
+        if problem.partly_seen and options.preset == "cpu":
+            recipe = replace(
+                recipe, **{name: value for name, value in PLACES.items() if getattr(options, name) is None}
+            )
         network = self._make_network(options.seed, problem.partly_seen)
         trainer = Trainer(recipe, problem, network, self.device, options.tensorboard, options.decoys)
         self._network = trainer.run()
@@ -148,7 +151,7 @@ class MocoEncoder(Encoder):
         known = seen if network.in_channels == self.recipe.planes(partly_seen=True) else None
         press = np.full(len(depth_m), press_depth_m)
         with torch.inference_mode():
-            vectors = self.recipe.embed(network, depth_m, press, geometry, self.device, known)
+            vectors = self.recipe.embed(network, torch.from_numpy(depth_m).to(self.device), press, geometry, known)
         return vectors.float().cpu().numpy()
 
     def save_weights(self, path: Path) -> None:

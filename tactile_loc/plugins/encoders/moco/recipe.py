@@ -11,7 +11,7 @@ import torch.nn.functional as F  # noqa: N812 - torch's own abbreviation
 from numpy.typing import NDArray
 from torch import nn
 
-from tactile_loc.plugin import Float32, SensorGeometry
+from tactile_loc.plugin import SensorGeometry
 
 Signal = Literal["binary", "depth"]
 
@@ -60,51 +60,48 @@ class Recipe:
     def embed(
         self,
         network: nn.Module,
-        depth_m: Float32,
+        depth_m: torch.Tensor,
         press_m: NDArray[np.float64],
         geometry: SensorGeometry,
-        device: torch.device,
         seen: NDArray[np.bool_] | None = None,
     ) -> torch.Tensor:
         """Return unit vectors (N, D) of contact depths (N, H, W), metres, cut at press depths (N,), metres.
 
         `seen` (N, H, W) marks the known pixels. It is given for networks with an input plane of known pixels.
         """
-        planes = make_input_planes(depth_m, press_m, geometry, self.image_px, self.signal, seen).to(device)
-        if device.type == "cuda":
+        planes, on_gpu = self.make_planes(depth_m, press_m, geometry, seen), depth_m.device.type == "cuda"
+        if on_gpu:
             planes = planes.contiguous(memory_format=torch.channels_last)
-        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+        with torch.autocast(depth_m.device.type, torch.bfloat16, enabled=on_gpu):
             return F.normalize(network(planes).flatten(1), dim=1)
 
+    def make_planes(
+        self,
+        depth_m: torch.Tensor,
+        press_m: NDArray[np.float64],
+        geometry: SensorGeometry,
+        seen: NDArray[np.bool_] | None = None,
+    ) -> torch.Tensor:
+        """Return the network's input (N, P, h, w), 0 to 1, averaged to `image_px`, on the device of `depth_m`.
 
-def make_input_planes(
-    depth_m: Float32,
-    press_m: NDArray[np.float64],
-    geometry: SensorGeometry,
-    image_px: int,
-    signal: Signal,
-    seen: NDArray[np.bool_] | None = None,
-) -> torch.Tensor:
-    """Return the network's input (N, P, h, w), from 0 to 1, averaged to a longer side of `image_px` pixels.
-
-    The first plane is the observed contact mask. If the signal is "depth", the penetration follows. If `seen` (N, H, W)
-    is given, the known pixels follow. The last plane is the press depth. Penetration and press depth are shares of the
-    sensor's maximal depth.
-    """
-    press, deepest = np.asarray(press_m, np.float32)[:, None, None], np.float32(geometry.max_depth_m)
-    known = geometry.observed_mask if seen is None else seen & geometry.observed_mask
-    contact = (depth_m < press) & known
-    planes = [contact.astype(np.float32)]
-    if signal == "depth":
-        planes.append(np.where(contact, (press - depth_m) / deepest, np.float32(0)))
-    if seen is not None:
-        planes.append(np.asarray(known, np.float32))
-    images = torch.from_numpy(np.stack(planes, axis=1))
-    small = geometry.shape if seen is not None and image_px < 2 * max(geometry.shape) else None
-    small = geometry.resize_long_side(image_px).shape if small is None else small
-    images = images if images.shape[-2:] == small else F.interpolate(images, small, mode="area")
-    share = torch.from_numpy(press / deepest)[:, None].expand(-1, 1, *small)
-    return torch.cat([images, share], dim=1)
+        The first plane is the observed contact mask. If the signal is "depth", the penetration follows. If `seen`
+        (N, H, W) is given, the known pixels follow. The last plane is the press depth. Penetration and press depth are
+        shares of the sensor's maximal depth.
+        """
+        device, deepest_m = depth_m.device, float(geometry.max_depth_m)
+        press = torch.as_tensor(press_m, dtype=torch.float32, device=device)[:, None, None]
+        known = torch.from_numpy(geometry.observed_mask if seen is None else seen & geometry.observed_mask).to(device)
+        contact = (depth_m < press) & known
+        planes = [contact.float()]
+        if self.signal == "depth":
+            planes.append(torch.where(contact, (press - depth_m) / deepest_m, 0.0))
+        if seen is not None:
+            planes.append(known.float())
+        images = torch.stack(planes, dim=1)
+        keeps_size = seen is not None and self.image_px < 2 * max(geometry.shape)
+        small = geometry.shape if keeps_size else geometry.resize_long_side(self.image_px).shape
+        images = images if images.shape[-2:] == small else F.interpolate(images, small, mode="area")
+        return torch.cat([images, (press / deepest_m)[:, None].expand(-1, 1, *small)], dim=1)
 
 
 PRESETS = {
@@ -117,12 +114,12 @@ PRESETS = {
         signal="binary",
         image_px=200,
         epochs=30,
-        queries=20480,
-        repeats=1,
+        queries=5120,
+        repeats=4,
         batch=128,
         optimizer="sgd",
         rate=0.03,
-        momentum=0.999,
-        refresh=0,
+        momentum=0.99,
+        refresh=40,
     ),
 }

@@ -7,8 +7,10 @@ import json
 import logging
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -87,6 +89,19 @@ def open_board(folder: str, epochs_done: int) -> Any:
 VALIDATION_TOUCHES = 256
 VALIDATION_PRESSES = 4
 KEYS_AT_ONCE = 512
+BATCHES_AHEAD = 8  # batches that threads prepare on a machine with a GPU, while the network learns
+
+
+def work_ahead(make: Callable[[int], T], numbers: Iterable[int], threads: int) -> Iterator[T]:
+    """Yield `make(number)` in order. Threads compute the next results while the caller uses the last one."""
+    with ThreadPoolExecutor(threads) as pool:
+        coming: deque[Future[T]] = deque()
+        for number in numbers:
+            coming.append(pool.submit(make, number))
+            if len(coming) > threads:
+                yield coming.popleft().result()
+        while coming:
+            yield coming.popleft().result()
 
 
 class Trainer:
@@ -117,6 +132,7 @@ class Trainer:
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0
         self.best_weights = _copy_weights(self.network)
+        self.kept_shapes: dict[float, list[torch.Tensor]] = {}
 
     def run(self) -> Backbone:
         """Train from the last checkpoint, if any, and return the network with the lowest validation loss.
@@ -138,7 +154,7 @@ class Trainer:
     def _run_epochs(self, validation: TrainingTouches) -> None:
         with self.problem.progress.task("training the encoder", self.recipe.epochs) as advance:
             advance(self.epoch)
-            for queries in self._render_epochs():
+            for queries in work_ahead(self._render_epoch, range(self.epoch, self.recipe.epochs), 1):
                 loss = self._train_epoch(queries)
                 if not math.isfinite(loss):
                     self._stop_at_nan()
@@ -150,19 +166,9 @@ class Trainer:
                     log.info("stopped early: no better validation for %d epochs", self.stale)
                     break
 
-    def _render_epochs(self) -> Iterator[TrainingTouches]:
-        """Yield the touches of each remaining epoch, while those of the next epoch are rendered.
-
-        Processes that train together render different touches.
-        """
-        with ThreadPoolExecutor(1) as ahead:
-            coming: list[Future[TrainingTouches]] = []
-            for epoch in range(self.epoch, self.recipe.epochs):
-                coming.append(ahead.submit(self._render, self.queries, epoch, 0, self.crew.rank))
-                if len(coming) > 1:
-                    yield coming.pop(0).result()
-            for last in coming:
-                yield last.result()
+    def _render_epoch(self, epoch: int) -> TrainingTouches:
+        """Render an epoch's touches. Processes that train together render different touches."""
+        return self._render(self.queries, epoch, 0, self.crew.rank)
 
     def _render(self, count: int, *seed: int) -> TrainingTouches:
         return self.problem.draw(count, self.noise, np.random.default_rng([self.recipe.seed, *seed]))
@@ -170,18 +176,27 @@ class Trainer:
     def _train_epoch(self, queries: TrainingTouches) -> float:
         """Train one epoch. Return the mean loss (unitless), or NaN as soon as a step's loss is NaN."""
         self.network.train()
-        order = np.random.default_rng([self.recipe.seed, self.epoch, 2, self.crew.rank])
         losses: list[float] = []
-        for step in range(self.steps):
-            if step == 0 or (self.recipe.refresh and step % self.recipe.refresh == 0):
-                press_m = self._draw_press(step)
-                keys = self._keys(self.key_network, press_m)
-            loss = self._step(queries.batch(self.batch, order, press_m, self.decoys), keys, step, order)
+        threads = BATCHES_AHEAD if self.device.type == "cuda" else 1
+        batches = work_ahead(partial(self._make_batch, queries), range(self.steps), threads)
+        for step, (batch, rng) in enumerate(batches):
+            if step == self._find_refresh(step):
+                keys = self._keys(self.key_network, self._draw_press(step))
+            loss = self._step(batch, keys, step, rng)
             losses.append(loss)
             if not math.isfinite(loss):
                 return math.nan
         self.epoch += 1
         return float(np.mean(losses))
+
+    def _make_batch(self, queries: TrainingTouches, step: int) -> tuple[TrainingBatch, np.random.Generator]:
+        """Return the touches of a step, with new noise, and the generator of the step's random numbers."""
+        rng = np.random.default_rng([self.recipe.seed, self.epoch, 2, self.crew.rank, step])
+        return queries.batch(self.batch, rng, self._draw_press(self._find_refresh(step)), self.decoys), rng
+
+    def _find_refresh(self, step: int) -> int:
+        """Return the last step, up to `step`, before which the keys are encoded again."""
+        return step - step % self.recipe.refresh if self.recipe.refresh else 0
 
     def _draw_press(self, step: int) -> float:
         """Draw the press depth, metres, at which touches and keys are compared from this step on.
@@ -220,7 +235,8 @@ class Trainer:
         size = batch.depth_m.shape[2:]
         depth_m, press_m = batch.depth_m.reshape(-1, *size), np.repeat(batch.press_m, batch.depth_m.shape[1])
         known = batch.seen.reshape(-1, *size) if self.problem.partly_seen else None
-        return self.recipe.embed(self.network, depth_m, press_m, self.problem.geometry, self.device, known)
+        shapes = torch.from_numpy(depth_m).to(self.device)
+        return self.recipe.embed(self.network, shapes, press_m, self.problem.geometry, known)
 
     def _scores(self, vectors: torch.Tensor, keys: torch.Tensor, batch: TrainingBatch) -> torch.Tensor:
         """Return the similarity (B, V * N) of each touch's views to each of N keys, with the correct view first."""
@@ -239,18 +255,28 @@ class Trainer:
         problem, training = self.problem, network.training
         network.eval()
         rows = []
-        for shard in problem.clean_keys(press_m):
-            for part in np.array_split(shard, -(-len(shard) // KEYS_AT_ONCE)):
+        for shard in self._key_shapes(press_m):
+            for part in torch.tensor_split(shard, -(-len(shard) // KEYS_AT_ONCE)):
                 own = part[self.crew.rank :: self.crew.size]
                 known = np.ones(own.shape, np.bool_) if problem.partly_seen else None
-                vectors = self.recipe.embed(
-                    network, own, np.full(len(own), press_m), problem.geometry, self.device, known
-                )
+                vectors = self.recipe.embed(network, own, np.full(len(own), press_m), problem.geometry, known)
                 keys = vectors.new_zeros((len(part), vectors.shape[1]), dtype=torch.float32)
                 keys[self.crew.rank :: self.crew.size] = vectors.float()
                 rows.append(keys)
         network.train(training)
         return self.crew.add(torch.cat(rows))
+
+    def _key_shapes(self, press_m: float) -> Iterable[torch.Tensor]:
+        """Return the keys' contact depths (S, H, W), metres, in shards on the device. A GPU keeps them if they fit."""
+        problem, height_width = self.problem, self.problem.geometry.shape
+        if press_m in self.kept_shapes:
+            return self.kept_shapes[press_m]
+        shapes = (torch.from_numpy(shard).to(self.device) for shard in problem.clean_keys(press_m))
+        if self.device.type == "cuda":
+            needed = 4 * math.prod(height_width) * len(problem) * len(problem.key_presses_m)
+            if needed < torch.cuda.mem_get_info(self.device)[0] / 4 or self.kept_shapes:
+                return self.kept_shapes.setdefault(press_m, list(shapes))
+        return shapes
 
     @torch.no_grad()
     def _validate(self, validation: TrainingTouches) -> tuple[float, float]:
