@@ -193,14 +193,15 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
     counts = f"{evaluated} evaluated now, {done - evaluated} from the store, {total - done} from {out}"
     say()
     say(f"{format_count(total, 'combination')}: {counts}")
-    say(f"stages built: {', '.join(f'{stage} {count}' for stage, count in found.built.items()) or 'none'}")
+    built = found.built_now
+    say(f"stages built now: {', '.join(f'{stage} {count}' for stage, count in built.items()) or 'none'}")
     return {
         "out": str(out),
         "combinations": total,
         "evaluated": evaluated,
         "stored": done - evaluated,
         "failed": found.failed,
-        "built": found.built,
+        "built": built,
         "line": line,
         "written": say_written(files),
     }

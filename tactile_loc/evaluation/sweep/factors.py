@@ -122,11 +122,15 @@ def write_sentence(found: Decomposition | None, slots: Sequence[str]) -> str:
     others = [term for term, share in found.shares.items() if term not in slots and share.value >= LEAST_TOLD]
     terms = sorted([*known, *filter(found.explains, others)], key=lambda term: -found.shares[term].value)
     if not terms:
-        return f"{found.touches} touches show no effect of {' or '.join(slots)}."
+        return f"{found.touches} touches show no effect of {_join(slots, 'or')}."
     told = [_write_share(term, found.shares[term], " of the variance" * (term == terms[0])) for term in terms]
     unknown = [slot for slot in slots if slot not in known]
-    told += [f"{' and '.join(unknown)} nothing that {found.touches} touches show"] if unknown else []
+    told += [f"{_join(unknown, 'and')} nothing that {found.touches} touches show"] if unknown else []
     return f"{'; '.join(told)}."
+
+
+def _join(words: Sequence[str], last: str) -> str:
+    return f" {last} ".join([*([", ".join(words[:-1])] if words[1:] else []), words[-1]])
 
 
 def _write_share(term: str, share: Estimate, of: str) -> str:

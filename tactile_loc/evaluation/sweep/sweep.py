@@ -173,8 +173,16 @@ class Sweep:
 
     @property
     def built(self) -> dict[str, int]:
-        """The number of artifacts of each stage that the sweep has built."""
-        stages = Counter(name.split()[0] for outcome in self.outcomes.values() for name in outcome.built)
+        """The number of artifacts of each stage that were built for the rows, in this call or before."""
+        return self._count_built(self.outcomes)
+
+    @property
+    def built_now(self) -> dict[str, int]:
+        """The number of artifacts of each stage that were built for the rows which this call made."""
+        return self._count_built(self.done)
+
+    def _count_built(self, keys: Iterable[str]) -> dict[str, int]:
+        stages = Counter(name.split()[0] for key in keys for name in self.outcomes[key].built)
         return dict(sorted(stages.items()))
 
 

@@ -97,4 +97,5 @@ def test_an_edited_refiner_gets_new_results_and_unchanged_code_is_read_from_the_
     third = sweep("third")
     assert third.evaluated == 1
     again = sweep("third")
-    assert (again.done, again.evaluated) == ([], 0)
+    assert (again.done, again.evaluated, again.built_now) == ([], 0, {})
+    assert again.built == third.built == third.built_now

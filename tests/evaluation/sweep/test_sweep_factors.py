@@ -48,7 +48,7 @@ def test_chance_explains_nothing():
     explained = [sum(map(one.explains, SLOTS)) for one in found]
     assert np.mean(explained) <= 0.2
     silent = next(one for one in found if not any(map(one.explains, one.shares)))
-    assert write_sentence(silent, SLOTS) == "12 touches show no effect of encoder or matcher or refiner."
+    assert write_sentence(silent, SLOTS) == "12 touches show no effect of encoder, matcher or refiner."
 
 
 def test_interactions_are_named_as_such():
