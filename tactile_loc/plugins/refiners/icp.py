@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 import open3d as o3d
 from pydantic import Field
 
-from tactile_loc.plugin import Capabilities, Poses
+from tactile_loc.plugin import Poses
 from tactile_loc.plugin.helpers import Cloud, CloudRefiner, Registration
 
 BURST = 8  # iterations between tests for convergence
 SETTLED_WIDE, SETTLED = 0.03, 1e-4  # largest move in a burst at convergence, for each pass: radians and mm
 DECIMALS = 7  # decimals to which rotations and mm are rounded
+_ALONE = threading.Lock()  # the number of open3d's threads is the same for the whole process
 
 
 class IcpRefiner(CloudRefiner):
-    """Registers in two passes: a wide one for coarse alignment, then a narrow one.
-
-    On a busy machine, about one registration in several thousand gave a different result. The cause, within open3d, is
-    unknown.
-    """
-
-    capabilities = Capabilities(deterministic=False)
+    """Registers in two passes: a wide one for coarse alignment, then a narrow one."""
 
     class Options(CloudRefiner.Options):
         """Largest distances of corresponding points, and the number of iterations."""
@@ -41,6 +40,18 @@ class IcpRefiner(CloudRefiner):
             if share > 0 and np.isfinite(T_new).all():
                 T, found, converged = T_new, True, still
         return Registration(T if found else None, converged, iterations)
+
+
+@contextmanager
+def _use_one_thread() -> Iterator[None]:
+    """Let open3d use one thread in the block, because its threads add up in any order, so that the last digits vary."""
+    with _ALONE:
+        threads = o3d.utility.get_max_threads()
+        o3d.utility.set_max_threads(1)
+        try:
+            yield
+        finally:
+            o3d.utility.set_max_threads(threads)
 
 
 def _wrap_cloud(cloud: Cloud, with_normals: bool = False) -> o3d.geometry.PointCloud:
@@ -65,12 +76,12 @@ def _register(
     registration = o3d.pipelines.registration
     method = registration.TransformationEstimationPointToPlane()
     done, converged, matched = 0, False, 0.0
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error), _use_one_thread():
         while done < max_iterations and not converged:
             burst = min(BURST, max_iterations - done)
             criteria = registration.ICPConvergenceCriteria(1e-3 * settled, 1e-3 * settled, burst)
             result = registration.registration_icp(moving, fixed, reach_mm, T, method, criteria)
             converged = np.allclose(result.transformation, T, atol=settled) and result.fitness > 0
-            # open3d's threads sum in any order: rounding prevents small differences from growing between bursts
+            # processors round differently: rounding prevents small differences from growing between bursts
             T, matched, done = np.round(result.transformation, DECIMALS), float(result.fitness), done + burst
     return T, done, matched, converged

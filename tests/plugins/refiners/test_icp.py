@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import open3d
 import pytest
 import trimesh
 
@@ -10,6 +11,8 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.plugin.helpers import Cloud
+from tactile_loc.plugins.refiners import icp
 from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 
@@ -32,3 +35,23 @@ def test_tilt_and_height_are_refined(camera, make_object):
     before, after = (PoseMetric(bumps).distance(T, true) for T in (candidate.T_sensor_object, refined.T_sensor_object))
     assert before > 2e-4
     assert after < 0.2 * before
+
+
+def make_wave(rng: np.random.Generator, count: int) -> Cloud:
+    """Points (count, 3), mm, of a wavy surface."""
+    x, y = rng.uniform(-8, 8, (2, count))
+    normals = np.column_stack([0.5 * np.cos(x), -0.4 * np.sin(1.3 * y), -np.ones(count)])
+    points_mm = np.column_stack([x, y, 25 + 0.5 * np.sin(x) + 0.3 * np.cos(1.3 * y)])
+    return Cloud(points_mm, normals / np.linalg.norm(normals, axis=1, keepdims=True), 0.3)
+
+
+def test_the_same_clouds_give_the_same_bits(monkeypatch):
+    """The threads of open3d add up in any order; without rounding, this shows."""
+    monkeypatch.setattr(icp, "DECIMALS", 17)
+    rng, threads = np.random.default_rng(0), open3d.utility.get_max_threads()
+    for _ in range(8):
+        moving, fixed = make_wave(rng, 800), make_wave(rng, 3000)
+        moved = Cloud(moving.points_mm + [0.5, 0.3, 0.1], moving.normals, 0.3)
+        found = {IcpRefiner().register(moved, fixed).T_mm.tobytes() for _ in range(25)}
+        assert len(found) == 1
+    assert open3d.utility.get_max_threads() == threads
