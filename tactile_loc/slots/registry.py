@@ -180,7 +180,7 @@ class Registry:
         if plugin.group != PROJECT:
             about: Any = plugin.dist.metadata if plugin.dist else {}
             summary = about["Summary"] if "Summary" in about else ""  # noqa: SIM401 - metadata has no get()
-            slot = plugin.group.removeprefix(f"{PROJECT}.")
+            slot = plugin.group.removeprefix(f"{PROJECT}.").replace("_", "-")  # a group has no hyphens
             return [ComponentSpec(slot, plugin.name, plugin.value, summary, interface=CLASS_INTERFACE)]
         manager = pluggy.PluginManager(PROJECT)
         manager.add_hookspecs(sys.modules[__name__])

@@ -115,6 +115,15 @@ def test_an_entry_point_may_name_a_class_which_is_imported_only_when_it_is_loade
         registry().load("refiner", "lost")
 
 
+def test_the_group_of_a_kind_with_a_hyphen_has_an_underscore(install, tmp_path):
+    """Packaging tools refuse a group with a hyphen."""
+    install("acme-tools", acme_impl=NO_REFINER)
+    points = tmp_path / "acme_tools-1.0.dist-info" / "entry_points.txt"
+    points.write_text("[tactile_loc.touch_source]\nacme = acme_impl:Acme\n")
+    (failure, *_) = [*registry().failures, None]
+    assert failure is None or "slot='touch-source'" in failure.error
+
+
 def test_an_entry_point_of_an_unknown_slot_is_a_failure(install, tmp_path):
     install("acme-tools", acme_impl=NO_REFINER)
     points = tmp_path / "acme_tools-1.0.dist-info" / "entry_points.txt"

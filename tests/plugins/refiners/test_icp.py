@@ -51,7 +51,7 @@ def test_the_same_clouds_give_the_same_bits(monkeypatch):
     rng, threads = np.random.default_rng(0), open3d.utility.get_max_threads()
     for _ in range(8):
         moving, fixed = make_wave(rng, 800), make_wave(rng, 3000)
-        moved = Cloud(moving.points_mm + [0.5, 0.3, 0.1], moving.normals, 0.3)
+        moved = Cloud(moving.points_mm + np.array([0.5, 0.3, 0.1]), moving.normals, 0.3)
         found = {IcpRefiner().register(moved, fixed).T_mm.tobytes() for _ in range(25)}
         assert len(found) == 1
     assert open3d.utility.get_max_threads() == threads
