@@ -6,9 +6,10 @@ CHECKS is the list of all checks. The modules of the slots add theirs when they 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, get_args
+from functools import lru_cache
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,9 @@ from tactile_loc.slots.registry import registry
 
 PROPERTY = "property"  # the tag of checks on drawn cases
 CHECKS: list[Check] = []
+SHARED: list[Any] = []  # the caches of `share`
+
+Made = TypeVar("Made", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,11 @@ class Check:
 
     def __call__(self, component: Any) -> None:
         """Raise ContractError if the component breaks the contract."""
-        self.run(component)
+        try:
+            self.run(component)
+        finally:
+            for cached in SHARED:  # the component may have changed what it was given
+                cached.cache_clear()
 
     @property
     def demands(self) -> str:
@@ -76,15 +84,36 @@ class ContractError(AssertionError):
     """A component broke a contract. The message states the contract and how it was broken."""
 
 
-def require(holds: object, sentence: str) -> None:
-    """Raise ContractError with `sentence` as its message unless the condition `holds`."""
+def share(make: Made) -> Made:
+    """Return the function with a cache that lasts until the end of a check."""
+    SHARED.append(lru_cache(maxsize=8)(make))
+    return SHARED[-1]  # type: ignore[no-any-return]
+
+
+def require(holds: object, sentence: str, cause: Callable[[], str] = str) -> None:
+    """Raise ContractError with `sentence` and its likely `cause` as its message unless the condition `holds`."""
     if not holds:
-        raise ContractError(sentence)
+        raise ContractError(f"{sentence}{cause()}")
+
+
+def name_cause(mistakes: Mapping[str, Callable[[], object]], often: str = "") -> str:
+    """Return the end of a message that names the first mistake whose test is true.
+
+    A test repeats the mistake, and compares the result with the component's answer. So a cause is named only if it
+    explains the answer. If no test is true, the end names causes that are frequent.
+    """
+    for mistake, explains in mistakes.items():
+        with np.errstate(all="ignore"):
+            if explains():
+                return f"; likely cause: {mistake}"
+    return f"; often, {often}" if often else ""
 
 
 def require_equal(first: ArrayLike, again: ArrayLike, sentence: str) -> None:
-    """Raise ContractError unless two answers to the same question are exactly equal."""
-    require(np.array_equal(first, again), f"{sentence}; otherwise declare deterministic=False")
+    """Raise ContractError unless two answers to the same question are exactly equal. NaN equals NaN."""
+    a, b = np.asarray(first), np.asarray(again)
+    same = np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    require(same, f"{sentence}; otherwise declare deterministic=False")
 
 
 def require_array(value: Any, shape: tuple[int, ...], dtype: type, what: str) -> None:
@@ -94,12 +123,16 @@ def require_array(value: Any, shape: tuple[int, ...], dtype: type, what: str) ->
     require(value.dtype == dtype, f"{what} must be {np.dtype(dtype)}, not {value.dtype}")
 
 
-def require_close(value: ArrayLike, truth: ArrayLike, tolerance: float, sentence: str) -> None:
+def require_close(
+    value: ArrayLike, truth: ArrayLike, tolerance: float, sentence: str, cause: Callable[[], str] = str
+) -> None:
     """Raise ContractError unless two arrays agree to an absolute tolerance, in the arrays' own unit."""
     a, b = np.asarray(value, float), np.asarray(truth, float)
-    require(a.shape == b.shape, f"{sentence} (shapes {a.shape} and {b.shape})")
-    largest = float(np.abs(a - b).max(initial=0.0)) if np.isfinite(a).all() else float("nan")
-    require(largest <= tolerance, f"{sentence} (largest difference {largest:.3g}, allowed {tolerance:.3g})")
+    require(a.shape == b.shape, f"{sentence} (shapes {a.shape} and {b.shape})", cause)
+    finite = np.isfinite(a)
+    require(finite.all(), f"{sentence}, but {100 * (~finite).mean():.2g} % of the values are not finite", cause)
+    largest = float(np.abs(a - b).max(initial=0.0))
+    require(largest <= tolerance, f"{sentence} (largest difference {largest:.3g}, allowed {tolerance:.3g})", cause)
 
 
 class Untouched:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,16 @@ from tactile_loc.core.places.places import PATCH_PX, cut_patches
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.slots.encoder import Encoder
-from tactile_loc.testing.contract import Untouched, check, require, require_array, require_close, require_equal
+from tactile_loc.testing.contract import (
+    ContractError,
+    Untouched,
+    check,
+    name_cause,
+    require,
+    require_array,
+    require_close,
+    require_equal,
+)
 from tactile_loc.testing.problems import (
     LOPSIDED_CAMERAS,
     ReferenceRenderer,
@@ -36,15 +47,20 @@ BESIDE_M = (0.0002, 0.0002, 0.0)
 def check_output(encoder: Encoder) -> None:
     """`encode` returns finite (N, D) float32 with the same D for any N, also for a shape without contact."""
     shapes = _draw_shapes()
-    vectors = encoder.encode(shapes, PRESS_M, CAMERA)
-    form = isinstance(vectors, np.ndarray) and vectors.ndim == 2 and len(vectors) == len(shapes)
-    require(form, f"the embeddings of {len(shapes)} shapes must be an array ({len(shapes)}, D)")
+    vectors = _encode(encoder, shapes, PRESS_M, CAMERA)
     require(vectors.dtype == np.float32, f"embeddings are float32, not {vectors.dtype}")
     for what, some in (("no shape", shapes[:0]), ("a shape without contact", np.full_like(shapes[:1], PRESS_M))):
-        other = encoder.encode(some, PRESS_M, CAMERA)
+        try:
+            other = _encode(encoder, some, PRESS_M, CAMERA)
+        except ContractError:
+            raise
+        except Exception as error:
+            problem = f"{type(error).__name__}: {error}"
+            raise ContractError(f"{what} must have embeddings ({len(some)}, D), not {problem}") from error
         same = other.shape == (len(some), vectors.shape[1])
         require(same, f"{what} must be encoded as ({len(some)}, {vectors.shape[1]}), not {other.shape}")
-        require(np.isfinite(other).all(), f"{what} must have a finite embedding")
+        often = "; often, it is divided by its length, which is 0"
+        require(np.isfinite(other).all(), f"{what} must have a finite embedding", often.__str__)
     require(np.isfinite(vectors).all(), "embeddings must be finite")
 
 
@@ -52,9 +68,10 @@ def check_output(encoder: Encoder) -> None:
 def check_batch_is_singles(encoder: Encoder) -> None:
     """Shapes that are encoded together get the same embeddings as one by one."""
     shapes = _draw_shapes()
-    together = encoder.encode(shapes, PRESS_M, CAMERA)
-    singly = np.concatenate([encoder.encode(s[None], PRESS_M, CAMERA) for s in shapes])
-    _require_alike(together, singly, together, "a batch must be encoded as its shapes one by one")
+    together = _encode(encoder, shapes, PRESS_M, CAMERA)
+    singly = np.concatenate([_encode(encoder, s[None], PRESS_M, CAMERA) for s in shapes])
+    often = "; often, embeddings are normalised over the batch; normalise each one alone"
+    _require_alike(together, singly, together, "a batch must be encoded as its shapes one by one", often.__str__)
 
 
 @check("encoder")
@@ -62,7 +79,7 @@ def check_shapes_untouched(encoder: Encoder) -> None:
     """The contact shapes are not changed."""
     shapes = _draw_shapes()
     before = Untouched(depth_m=shapes)
-    encoder.encode(shapes, PRESS_M, CAMERA)
+    _encode(encoder, shapes, PRESS_M, CAMERA)
     before.require()
 
 
@@ -71,9 +88,11 @@ def check_distances_order_poses(encoder: Encoder) -> None:
     """A shape is nearest to itself, and a shape 0.5 mm away is nearer than clearly different poses."""
     poses = make_contact_poses(make_block_scene())
     here, moved = _render(poses), _render(make_translation([0.0004, 0.0003, 0.0]) @ poses)
-    bank = encoder.encode(here, PRESS_M, CAMERA)
-    _require_found(encoder.encode(here.copy(), PRESS_M, CAMERA), bank, "every shape must be nearest to itself")
-    _require_found(encoder.encode(moved, PRESS_M, CAMERA), bank, "a shape 0.5 mm away must be nearer than other poses")
+    bank = _encode(encoder, here, PRESS_M, CAMERA)
+    _require_found(_encode(encoder, here.copy(), PRESS_M, CAMERA), bank, "every shape must be nearest to itself")
+    _require_found(
+        _encode(encoder, moved, PRESS_M, CAMERA), bank, "a shape 0.5 mm away must be nearer than other poses"
+    )
 
 
 @check("encoder")
@@ -81,11 +100,12 @@ def check_press_depth_marks_no_contact(encoder: Encoder) -> None:
     """A pixel at the press depth is not in contact, so a flat imprint looks the same at any press depth."""
     imprint = np.stack([s < PRESS_M for s in _draw_shapes()])
     light, deep = (np.where(imprint, np.float32(0), np.float32(p)) for p in (0.6 * PRESS_M, PRESS_M))
-    bank, queries = encoder.encode(deep, PRESS_M, CAMERA), encoder.encode(light, 0.6 * PRESS_M, CAMERA)
+    bank, queries = _encode(encoder, deep, PRESS_M, CAMERA), _encode(encoder, light, 0.6 * PRESS_M, CAMERA)
     _require_found(
         queries,
         bank,
         "pixels at the press depth have no contact: a flat imprint must look the same at 60 % and at full press",
+        "contact is found by a fixed depth, such as geometry.max_depth_m, instead of press_depth_m",
     )
 
 
@@ -97,18 +117,19 @@ def check_light_press_finds_its_pose(encoder: Encoder) -> None:
     """
     light = 0.75 * PRESS_M
     press = light if encoder.capabilities.follows_press_depth else PRESS_M
-    bank = encoder.encode(np.minimum(_draw_shapes(), np.float32(press)), press, CAMERA)
-    queries = encoder.encode(np.minimum(_draw_shapes(), np.float32(light)), light, CAMERA)
-    _require_found(queries, bank, "a light press must be nearest to its own pose")
+    bank = _encode(encoder, np.minimum(_draw_shapes(), np.float32(press)), press, CAMERA)
+    queries = _encode(encoder, np.minimum(_draw_shapes(), np.float32(light)), light, CAMERA)
+    often = "contact is found by a fixed depth, or follows_press_depth=True is not declared"
+    _require_found(queries, bank, "a light press must be nearest to its own pose", often)
 
 
 @check("encoder")
 def check_image_size(encoder: Encoder) -> None:
     """Shapes in other image sizes of the same sensor have embeddings of the same length, and find their poses."""
-    bank = encoder.encode(_draw_shapes(), PRESS_M, CAMERA)
+    bank = _encode(encoder, _draw_shapes(), PRESS_M, CAMERA)
     for times in (2, 3):
         fine = CAMERA.resize(times * CAMERA.width_px, times * CAMERA.height_px)
-        queries = encoder.encode(_draw_shapes(fine), PRESS_M, fine)
+        queries = _encode(encoder, _draw_shapes(fine), PRESS_M, fine)
         same = queries.shape == bank.shape
         require(same, f"D must not depend on the image size, but shapes are {queries.shape} and {bank.shape}")
         _require_found(queries, bank, f"an image of {times} times the size must find its pose in the bank")
@@ -119,10 +140,11 @@ def check_patches(encoder: Encoder) -> None:
     """`encode_patches` gives the embeddings that `encode` gives for the contact depths of places' patches."""
     patches = np.random.default_rng(0).integers(0, 256, (6, PATCH_PX, PATCH_PX)).astype(np.uint8)
     for press_m in (LIGHT_M, PRESS_M):
-        expected = encoder.encode(cut_patches(patches, press_m), press_m, PATCH_CAMERA)
+        expected = _encode(encoder, cut_patches(patches, press_m), press_m, PATCH_CAMERA)
         found = encoder.encode_patches(patches.copy(), press_m)
         require_array(found, expected.shape, np.float32, "encode_patches")
-        require_close(found, expected, 1e-4 * _spread(expected), "encode_patches must agree with encode")
+        cause = partial(_name_inherited, encoder, "encode_patches")
+        require_close(found, expected, 1e-4 * _spread(expected), "encode_patches must agree with encode", cause)
 
 
 @check("encoder")
@@ -133,7 +155,7 @@ def check_ignores_masked_pixels(encoder: Encoder) -> None:
     masked = dataclasses.replace(CAMERA, observed=observed)
     shapes = _draw_shapes()
     garbage = np.where(observed, shapes, np.float32(0.1 * PRESS_M))
-    a, b = (encoder.encode(s, PRESS_M, masked) for s in (shapes, garbage))
+    a, b = (_encode(encoder, s, PRESS_M, masked) for s in (shapes, garbage))
     require_close(a, b, 1e-4 * _spread(a), "pixels outside geometry.observed_mask must change nothing")
 
 
@@ -151,7 +173,7 @@ def check_unseen_pixels(encoder: Encoder) -> None:
 def check_seen_output(encoder: Encoder) -> None:
     """`encode_seen` returns embeddings and weights of the same shape, weights from 0 to 1, and changes no input."""
     shapes = _draw_shapes()
-    form = encoder.encode(shapes, PRESS_M, CAMERA).shape
+    form = _encode(encoder, shapes, PRESS_M, CAMERA).shape
     for seen in (_mask_left(shapes, 6), np.zeros(shapes.shape, bool)):
         before = Untouched(depth_m=shapes, seen=seen)
         answer = encoder.encode_seen(shapes, seen, PRESS_M, CAMERA)
@@ -168,7 +190,7 @@ def check_seen_output(encoder: Encoder) -> None:
 def check_seen_part_finds_its_pose(encoder: Encoder) -> None:
     """A partly seen shape, such as a touch at the sensor's edge, has its best weighted score at its own pose."""
     shapes = _draw_shapes()
-    bank = encoder.encode(shapes, PRESS_M, CAMERA)
+    bank = _encode(encoder, shapes, PRESS_M, CAMERA)
     queries, weights = encoder.encode_seen(shapes, _mask_left(shapes, 6), PRESS_M, CAMERA)
     found = (weights[:, None] * (queries[:, None] - bank[None]) ** 2).sum(axis=-1).argmin(axis=1)
     _require_order(found, "a partly seen shape must find its own pose")
@@ -177,7 +199,7 @@ def check_seen_part_finds_its_pose(encoder: Encoder) -> None:
 @check("encoder", "deterministic")
 def check_deterministic(encoder: Encoder) -> None:
     """The same shapes have exactly the same embeddings."""
-    first, again = (encoder.encode(_draw_shapes(), PRESS_M, CAMERA) for _ in range(2))
+    first, again = (_encode(encoder, _draw_shapes(), PRESS_M, CAMERA) for _ in range(2))
     require_equal(first, again, "the same shapes must have the same embeddings")
 
 
@@ -209,6 +231,7 @@ def property_mirror_image(encoder: Encoder) -> None:
             (near < far).all(),
             "a part must be nearer to itself, 0.3 mm away, than to its mirror image; "
             f"distances are up to {(near / np.maximum(far, 1e-12)).max():.2f} times as large",
+            lambda: name_cause({"both have the same embedding": lambda: far.max() == 0}),
         )
 
     hold(claim, examples=3, place=places(most_tenths_mm=15))
@@ -216,7 +239,16 @@ def property_mirror_image(encoder: Encoder) -> None:
 
 def _encode_light(encoder: Encoder, depth_m: Float32) -> Float32:
     """Return embeddings (N, D) of shapes (N, H, W), metres, cut at a light press."""
-    return encoder.encode(np.minimum(depth_m, np.float32(LIGHT_M)), LIGHT_M, CAMERA)
+    return _encode(encoder, np.minimum(depth_m, np.float32(LIGHT_M)), LIGHT_M, CAMERA)
+
+
+def _encode(encoder: Encoder, shapes: Float32, press_m: float, camera: SensorGeometry) -> Float32:
+    """Return the embeddings (N, D) of shapes (N, H, W), metres. Raises ContractError if they have another form."""
+    vectors = encoder.encode(shapes, press_m, camera)
+    form = isinstance(vectors, np.ndarray) and vectors.ndim == 2 and len(vectors) == len(shapes)
+    shown = vectors.shape if isinstance(vectors, np.ndarray) else type(vectors).__name__
+    require(form, f"the embeddings of {len(shapes)} shapes must be an array ({len(shapes)}, D), not {shown}")
+    return vectors
 
 
 def _draw_shapes(camera: SensorGeometry = CAMERA) -> Float32:
@@ -242,9 +274,10 @@ def _require_seen_as_plain(encoder: Encoder, shapes: Float32, press_m: float, ca
 
     Raises ContractError unless the shapes have the embeddings of `encode`.
     """
-    plain = encoder.encode(shapes, press_m, camera)
+    plain = _encode(encoder, shapes, press_m, camera)
     whole, weights = encoder.encode_seen(shapes, np.ones(shapes.shape, bool), press_m, camera)
-    _require_alike(whole, plain, plain, "fully seen shapes must have the plain embeddings")
+    sentence = "fully seen shapes must have the embeddings of encode"
+    _require_alike(whole, plain, plain, sentence, partial(_name_inherited, encoder, "encode_seen"))
     require(weights.shape == plain.shape, f"weights {weights.shape} must have the embeddings' shape {plain.shape}")
     return weights
 
@@ -258,23 +291,34 @@ def _require_unseen_ignored(
     """
     filled = np.where(seen, shapes, np.float32(fill_m))
     (one, ones), (two, twos) = (encoder.encode_seen(some, seen, press_m, camera) for some in (shapes, filled))
-    plain = encoder.encode(shapes, press_m, camera)
+    plain = _encode(encoder, shapes, press_m, camera)
     _require_alike(one * ones, two * twos, plain, "unseen pixels must change nothing")
     return ones, twos
 
 
-def _require_found(queries: Float32, bank: Float32, sentence: str) -> None:
+def _name_inherited(encoder: Encoder, method: str) -> str:
+    """Name the cause if the class that defines a method is another one than the class that defines `encode`."""
+    owner, encodes = (next(base for base in type(encoder).__mro__ if name in vars(base)) for name in (method, "encode"))
+    inherited = f"{method} is inherited from {owner.__name__}, whose encode differs; override both"
+    return name_cause({inherited: lambda: owner not in (encodes, Encoder) and issubclass(encodes, owner)})
+
+
+def _require_found(queries: Float32, bank: Float32, sentence: str, often: str = "") -> None:
     """Raise ContractError unless each query is nearest to its own row of the bank."""
-    _require_order(np.linalg.norm(queries[:, None] - bank[None], axis=-1).argmin(axis=1), sentence)
+    alike = {"all embeddings are equal": lambda: np.ptp(bank, axis=0).max() == 0}
+    nearest = np.linalg.norm(queries[:, None] - bank[None], axis=-1).argmin(axis=1)
+    _require_order(nearest, sentence, partial(name_cause, alike, often))
 
 
-def _require_order(found: np.ndarray, sentence: str) -> None:
-    require((found == np.arange(len(found))).all(), f"{sentence}; the nearest rows are {found.tolist()}")
+def _require_order(found: np.ndarray, sentence: str, cause: Callable[[], str] = str) -> None:
+    require((found == np.arange(len(found))).all(), f"{sentence}; the nearest rows are {found.tolist()}", cause)
 
 
-def _require_alike(value: Float32, truth: Float32, plain: Float32, sentence: str) -> None:
+def _require_alike(
+    value: Float32, truth: Float32, plain: Float32, sentence: str, cause: Callable[[], str] = str
+) -> None:
     """Raise ContractError unless embeddings agree to a thousandth of the spread of `plain` embeddings."""
-    require_close(value, truth, 1e-3 * _spread(plain), sentence)
+    require_close(value, truth, 1e-3 * _spread(plain), sentence, cause)
 
 
 def _spread(vectors: Float32) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -10,12 +12,20 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior, require_pose_left
+from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError, GridError
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.slots.fuser import Fuser
-from tactile_loc.testing.contract import Untouched, check, require, require_close, require_equal
+from tactile_loc.testing.contract import (
+    ContractError,
+    Untouched,
+    check,
+    name_cause,
+    require,
+    require_close,
+    require_equal,
+)
 from tactile_loc.testing.problems import (
     CAMERAS,
     ReferenceRenderer,
@@ -39,37 +49,42 @@ def check_one_touch(fuser: Fuser) -> None:
     """
     posterior = _draw_posterior(make_small_grid())
     fused = _fuse_one(fuser, posterior)
-    require(isinstance(fused, PosePosterior), f"fuse must return a PosePosterior, not {type(fused).__name__}")
-    same = np.array_equal(fused.grid.T_sensor_object, posterior.grid.T_sensor_object)
-    require(same, "the fused posterior must be over the first touch's grid")
     require_close(fused.probabilities.sum(), 1.0, TOLERANCE, "probabilities must sum to one")
     if fuser.capabilities.contact_only:
         uniform = np.full(len(posterior.grid), 1 / len(posterior.grid))
         _require_equal(fused, uniform, "with contact_only=True, the poses of one touch must be equally probable")
     else:
-        _require_equal(fused, posterior.probabilities, "one touch without a prior must be unchanged")
+        right = posterior.probabilities
+        logs = {"probabilities are returned as log_p": lambda: _is_over(fused, np.exp(right))}
+        _require_equal(fused, right, "one touch without a prior must be unchanged", lambda: name_cause(logs))
 
 
 @check("fuser")
 def check_prior_multiplies(fuser: Fuser) -> None:
-    """A prior's log-weights are added once. Equal weights change nothing, and one allowed pose is certain."""
-    posterior = _draw_posterior(make_small_grid())
+    """A prior's log-weights are added once, also to several touches. One allowed pose is certain."""
+    here = make_small_grid()
+    posterior, sensors = _draw_posterior(here), [T_BASE_FIRST, T_BASE_SECOND]
+    touches = _draw_posteriors([here, _move_to_second(here)])
     priors: dict[str, Prior] = {
         "a prior with equal weights must change nothing": lambda poses: np.full(len(poses), -3.0),
         "a prior's log-weights must be added once": lambda poses: -((poses[:, 0, 3] / 0.002) ** 2),
         "the only allowed pose must be certain": lambda poses: np.where(np.arange(len(poses)) == 7, 0.0, -np.inf),
     }
     for sentence, prior in priors.items():
-        expected = _fuse_one(fuser, posterior).probabilities * np.exp(prior(posterior.grid.T_sensor_object))
-        _require_equal(_fuse_one(fuser, posterior, prior), expected / expected.sum(), sentence)
+        _require_prior(_fuse_one(fuser, posterior), _fuse_one(fuser, posterior, prior), prior, sentence)
+        plain, several = (_fuse_several(fuser, touches, sensors, one) for one in (None, prior))
+        if plain is not None and several is not None:
+            _require_prior(plain, several, prior, f"of two touches, {sentence}")
 
 
 @check("fuser")
 def check_impossible_prior(fuser: Fuser) -> None:
     """A prior that allows no pose leaves none: `fuse` returns `NoPoseLeft`."""
     posterior = _draw_posterior(make_small_grid())
-    fused = fuser.fuse([posterior], [None], lambda poses: np.full(len(poses), -np.inf))
-    require(isinstance(fused, NoPoseLeft), "with a prior that allows no pose, fuse must return NoPoseLeft")
+    sentence = "with a prior that allows no pose, fuse must return NoPoseLeft"
+    with _no_grid_error(sentence):
+        fused = fuser.fuse([posterior], [None], lambda poses: np.full(len(poses), -np.inf))
+    require(isinstance(fused, NoPoseLeft), sentence)
 
 
 @check("fuser")
@@ -121,11 +136,13 @@ def check_no_common_pose(fuser: Fuser) -> None:
     """Sensors without a common pose leave none: `fuse` returns `NoPoseLeft`. A fuser may refuse several touches."""
     grid = make_small_grid()
     T_base_far = make_transform(np.eye(3), [5.0, 0.0, 0.0])
+    sentence = "with sensors metres apart, fuse must return NoPoseLeft"
     try:
-        fused = fuser.fuse([_draw_posterior(grid, seed=1), _draw_posterior(grid, seed=2)], [np.eye(4), T_base_far])
+        with _no_grid_error(sentence):
+            fused = fuser.fuse([_draw_posterior(grid, seed=1), _draw_posterior(grid, seed=2)], [np.eye(4), T_base_far])
     except ConfigError:
         return
-    require(isinstance(fused, NoPoseLeft), "with sensors metres apart, fuse must return NoPoseLeft")
+    require(isinstance(fused, NoPoseLeft), sentence)
 
 
 @check("fuser")
@@ -210,20 +227,69 @@ def _move_to_second(grid: PoseGrid) -> PoseGrid:
 
 
 def _fuse_several(
-    fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]
+    fuser: Fuser, posteriors: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None], prior: Prior | None = None
 ) -> PosePosterior | None:
-    """Fuse several touches. Return None if the fuser refuses several touches."""
+    """Fuse several touches that have common poses. Return None if the fuser refuses several touches."""
     try:
-        return require_pose_left(fuser.fuse(posteriors, T_base_sensor))
+        fused = fuser.fuse(posteriors, T_base_sensor, prior)
     except ConfigError:
         return None
+    often = "; often, T_base_sensor is ignored or inverted; a pose of touch k is T_base_sensor[k] @ T_sensor_object"
+    require(not isinstance(fused, NoPoseLeft), "touches of one pose must leave poses, not NoPoseLeft", often.__str__)
+    return _take(cast(PosePosterior, fused), posteriors[0])
 
 
 def _fuse_one(fuser: Fuser, posterior: PosePosterior, prior: Prior | None = None) -> PosePosterior:
     """Fuse the posterior of one touch with a prior."""
-    fused = fuser.fuse([posterior], [None], prior)
+    try:
+        fused = fuser.fuse([posterior], [None], prior)
+    except Exception as error:
+        fuser.fuse(
+            [posterior], [np.eye(4)], prior
+        )  # an error that does not come from the unknown pose is raised as it is
+        problem = f"{type(error).__name__}: {error}"
+        raise ContractError(f"the sensor pose of one touch may be unknown: [None] must not raise {problem}") from error
     require(not isinstance(fused, NoPoseLeft), "a possible pose must be left")
-    return cast(PosePosterior, fused)
+    return _take(cast(PosePosterior, fused), posterior)
+
+
+def _take(fused: PosePosterior, first: PosePosterior) -> PosePosterior:
+    """Return a fused posterior. Raises ContractError unless it is a posterior over the first touch's grid."""
+    require(isinstance(fused, PosePosterior), f"fuse must return a PosePosterior, not {type(fused).__name__}")
+    same = np.array_equal(fused.grid.T_sensor_object, first.grid.T_sensor_object)
+    require(same, "the fused posterior must be over the first touch's grid")
+    return fused
+
+
+@contextmanager
+def _no_grid_error(sentence: str) -> Iterator[None]:
+    try:
+        yield
+    except GridError as error:
+        raise ContractError(f"{sentence}, not raise GridError") from error
+
+
+def _require_prior(plain: PosePosterior, fused: PosePosterior, prior: Prior, sentence: str) -> None:
+    """Raise ContractError unless a prior's log-weights are added once to the plain posterior."""
+    weights = prior(plain.grid.T_sensor_object)
+
+    def times(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        p = plain.probabilities * np.exp(log_weights - log_weights.max())
+        return np.asarray(p / p.sum())
+
+    wrong = {
+        "the prior is ignored": 0 * np.nan_to_num(weights),
+        "the prior is added twice": 2 * weights,
+        "the prior's log-weights are used as weights": np.exp(weights),
+        "the prior is subtracted": -weights,
+    }
+    mistakes = {what: partial(_is_over, fused, times(logs)) for what, logs in wrong.items() if logs.max() < np.inf}
+    _require_equal(fused, times(weights), sentence, partial(name_cause, mistakes))
+
+
+def _is_over(fused: PosePosterior, weights: NDArray[np.floating]) -> bool:
+    """Return whether the probabilities are proportional to the weights."""
+    return bool(np.abs(fused.probabilities - weights / weights.sum()).max() <= TOLERANCE)
 
 
 def _require_both(one: PosePosterior | None, other: PosePosterior | None, sentence: str) -> None:
@@ -233,6 +299,6 @@ def _require_both(one: PosePosterior | None, other: PosePosterior | None, senten
 
 
 def _require_equal(
-    fused: PosePosterior, probabilities: NDArray[np.floating] | NDArray[np.bool_], sentence: str
+    fused: PosePosterior, probabilities: NDArray[np.floating], sentence: str, cause: Callable[[], str] = str
 ) -> None:
-    require_close(fused.probabilities, probabilities, TOLERANCE, f"{sentence} (probabilities)")
+    require_close(fused.probabilities, probabilities, TOLERANCE, f"{sentence} (probabilities)", cause)

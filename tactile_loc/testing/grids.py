@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import Poses, is_rigid, make_translation
+from tactile_loc.core.geometry.rigid import Poses, invert, is_rigid, make_transform, make_translation
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.places.places import CAMERA as PATCH_CAMERA
@@ -15,7 +16,15 @@ from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.slots.grid import GridSampler
-from tactile_loc.testing.contract import Untouched, check, require, require_array, require_close, require_equal
+from tactile_loc.testing.contract import (
+    Untouched,
+    check,
+    name_cause,
+    require,
+    require_array,
+    require_close,
+    require_equal,
+)
 from tactile_loc.testing.problems import (
     CAMERAS,
     ReferenceRenderer,
@@ -34,6 +43,7 @@ SPACING_M = 0.008
 DRAWN, SIGMAS = 6000, 4  # number of random poses, and the allowed error of their share, in standard errors
 PRESS_M, ROUNDED_M, LEAST_ALIKE = 1e-3, 2e-5, 0.97  # of patches: press depth, rounding, least share of equal pixels
 NEAR_M, MOST_TILT_DEG = 2.5e-3, 8.0  # limits between the first point of contact and the nearest place
+FAR_M = 1.0  # translations this long are no poses of parts of some centimetres
 SAME_M = 1e-8  # poses that are nearer than this differ only by rounding
 SUBGROUPS = ("z6*x2", "z6", "z3", "x2", "z2")  # subgroups of the prism's rotations
 LEAST_APART = 0.15  # spacings; poses that are nearer than this, up to symmetry, must coincide
@@ -59,22 +69,25 @@ def check_spacing(sampler: GridSampler) -> None:
     """
     spacing_m = float(_bring_to_contact(_sample(sampler)).neighbour_spacing().mean())
     right = 0.4 * SPACING_M <= spacing_m <= 2 * SPACING_M
-    require(right, f"the mean spacing must be about {SPACING_M * 1e3:g} mm, not {spacing_m * 1e3:.2g} mm")
+    sentence = f"the mean spacing must be about {SPACING_M * 1e3:g} mm, not {spacing_m * 1e3:.2g} mm"
+    require(right, sentence, lambda: name_cause({"poses are listed twice": lambda: spacing_m < SAME_M}))
 
 
 @check("grid", "not places")
 def check_denser_grid_has_more_poses(sampler: GridSampler) -> None:
     """Half the spacing gives at least twice as many poses, even along a line."""
     coarse, fine = (len(_sample(sampler, k * SPACING_M)) for k in (1.0, 0.5))
-    require(fine >= 2 * coarse, f"half the spacing must give at least twice the {coarse} poses, not {fine}")
+    sentence = f"half the spacing must give at least twice the {coarse} poses, not {fine}"
+    require(fine >= 2 * coarse, sentence, lambda: name_cause({"spacing_m is not used": lambda: 1 < coarse == fine}))
 
 
 @check("grid")
 def check_poses_reach_contact(sampler: GridSampler) -> None:
     """Enough of the poses touch the sensing rectangle after a move along z only."""
     for what, poses in _list_kinds(sampler, 200):
-        share = float(bring_to_contact(make_block().mesh, poses, CAMERA)[1].mean())
-        require(share >= LEAST_TOUCHING, f"only {100 * share:.0f} % of the poses of {what} can touch the sensor")
+        share = _count_touching(poses, make_block())
+        sentence = f"only {100 * share:.0f} % of the poses of {what} can touch the sensor"
+        require(share >= LEAST_TOUCHING, sentence, partial(_name_mistake, poses, make_block()))
 
 
 @check("grid", "not places")
@@ -105,8 +118,11 @@ def check_random_is_uniform_over_the_grid(sampler: GridSampler) -> None:
     require(
         abs(found - wanted) <= SIGMAS * error,
         "random must draw poses uniformly over the grid; "
-        f"{100 * found:.0f} % are nearest to {100 * wanted:.0f} % of its poses: draw a rotation in proportion to "
-        "its places over the sensor, as tactile_loc.plugin.helpers.draw_places does",
+        f"{100 * found:.0f} % are nearest to {100 * wanted:.0f} % of its poses",
+        lambda: (
+            "; often, sample leaves out poses that random draws, or random draws a rotation not in proportion to "
+            "its places over the sensor, as draw_places of tactile_loc.plugin.helpers does"
+        ),
     )
 
 
@@ -124,8 +140,8 @@ def check_random_draws(sampler: GridSampler) -> None:
 @check("grid")
 def check_object_untouched(sampler: GridSampler) -> None:
     """The object's mesh is not changed."""
-    mesh = copy_mesh(make_block().mesh)
-    obj = dataclasses.replace(make_block(), mesh=mesh)
+    obj = _copy_block()
+    mesh = obj.mesh
     before = Untouched(vertices_m=mesh.vertices_m, faces=mesh.faces)
     if sampler.capabilities.places:
         sampler.places(obj, Progress())
@@ -148,7 +164,8 @@ def check_scale(sampler: GridSampler) -> None:
 @check("grid", "not places", "deterministic")
 def check_deterministic(sampler: GridSampler) -> None:
     """The same object, sensor and spacing give the same poses in the same order."""
-    require_equal(_sample(sampler), _sample(sampler), "the same request must give the same poses")
+    first, again = (sampler.sample(_copy_block(), CAMERA, SPACING_M) for _ in range(2))
+    require_equal(first, again, "the same request must give the same poses")
 
 
 @check("grid", "places")
@@ -257,6 +274,31 @@ def property_symmetric_places(sampler: GridSampler) -> None:
     hold(claim, examples=2, symmetry=one_of(SUBGROUPS[:3]))
 
 
+def _copy_block() -> ObjectModel:
+    return dataclasses.replace(make_block(), mesh=copy_mesh(make_block().mesh))
+
+
+def _count_touching(poses: Poses, obj: ObjectModel) -> float:
+    """Return the share of poses of an object that can touch."""
+    return float(bring_to_contact(obj.mesh, poses, CAMERA)[1].mean())
+
+
+def _name_mistake(poses: Poses, obj: ObjectModel) -> str:
+    """Name the mistake with which the poses (N, 4, 4) would not touch."""
+    mistakes = {
+        "translations are in millimetres": make_transform(poses[:, :3, :3], poses[:, :3, 3] / 1e3),
+        "poses are inverted; return T_sensor_object": invert(poses),
+    }
+    if np.linalg.norm(poses[:, :3, 3], axis=1).mean() < FAR_M:
+        del mistakes["translations are in millimetres"]
+    least = max(LEAST_TOUCHING, 2 * _count_touching(poses, obj))
+
+    def explains(T: Poses) -> bool:
+        return _count_touching(T, obj) >= least
+
+    return name_cause({what: partial(explains, T) for what, T in mistakes.items()})
+
+
 def _declare_symmetry(symmetry: str) -> ObjectModel:
     """Return the prism with some of its rotations declared as its symmetry."""
     return dataclasses.replace(make_prism(), symmetry=SymmetryGroup.parse(symmetry, make_prism().mesh.centroid_m))
@@ -280,5 +322,6 @@ def _bring_to_contact(poses: Poses, obj: ObjectModel | None = None) -> PoseGrid:
     """Bring poses of an object, by default the block, to contact. Return the poses that touch."""
     obj = make_block() if obj is None else obj
     contact, touching = bring_to_contact(obj.mesh, poses, CAMERA)
-    require(touching.sum() > 1, "several poses must be able to touch the sensor")
+    sentence = f"several poses must be able to touch the sensor; {touching.sum()} of {len(poses)} can"
+    require(touching.sum() > 1, sentence, partial(_name_mistake, poses, obj))
     return PoseGrid(contact[touching], PoseMetric(obj))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +16,7 @@ from tactile_loc.testing.contract import (
     ContractError,
     Untouched,
     check,
+    name_cause,
     require,
     require_array,
     require_close,
@@ -47,7 +51,7 @@ def check_definition(matcher: Matcher) -> None:
 def check_query_order(matcher: Matcher) -> None:
     """Row j of the scores belongs to query j, and a query's scores do not depend on the other queries."""
     together = _score(matcher, _draw_bank(), _draw_queries())
-    singly = np.concatenate([matcher.scores(q[None]) for q in _draw_queries()[::-1]])[::-1]
+    singly = np.concatenate([_take(matcher.scores(q[None]), 1, ROWS) for q in _draw_queries()[::-1]])[::-1]
     sentence = "one query's scores must not depend on the others"
     require(np.array_equal(np.isfinite(together), np.isfinite(singly)), sentence)
     _require_alike(together, singly, sentence)
@@ -56,12 +60,16 @@ def check_query_order(matcher: Matcher) -> None:
 @check("matcher")
 def check_index_replaces(matcher: Matcher) -> None:
     """A second call of `index` replaces the bank of the first call. A bank of one row works, too."""
+    queries = _draw_queries()
     for rows in (50, 1):
         matcher.index(_draw_bank(seed=7))
-        matcher.scores(_draw_queries())
-        again = _score(matcher, _draw_bank()[:rows], _draw_queries())
-        require_array(again, (QUERIES, rows), np.float32, f"the scores of a new bank of {rows} rows")
-        _require_alike(again, _compute_truth(_draw_bank()[:rows], _draw_queries()), "a new bank must replace the old")
+        matcher.scores(queries)
+        bank = _draw_bank()[:rows]
+        again = _score(matcher, bank, queries)
+        sentence = f"a score must be -1/2 ||query - row||^2, for a new bank of {rows} rows"
+        old = {"the old bank is kept": _compute_truth(_draw_bank(seed=7)[:rows], queries)}
+        cause = partial(_name_mistake, again, bank, queries, others=old)
+        _require_alike(again, _compute_truth(bank, queries), sentence, cause)
 
 
 @check("matcher", "weights")
@@ -69,7 +77,9 @@ def check_weights(matcher: Matcher) -> None:
     """A weighted score is -1/2 sum w (query - row)^2. The best row is found, and weights of one change nothing."""
     require(takes_weights(matcher), f"scores takes no weights; {WEIGHTS_CHANGE}, or declare weights=False")
     bank, queries = _draw_bank(), _draw_queries()
-    _require_defined(matcher, bank, queries, "weights of one must give the plain scores", np.ones_like(queries))
+    _require_defined(
+        matcher, bank, queries, "with weights of one, a score must be -1/2 ||query - row||^2", np.ones_like(queries)
+    )
     weights = _draw_weights()
     queries[weights == 0] += 3  # numbers with weight zero may have any value
     before = Untouched(queries=queries, weights=weights)
@@ -105,7 +115,9 @@ def property_any_space(matcher: Matcher) -> None:
         bank, queries = ((rows @ rotated).astype(np.float32) for rows in (_draw_bank()[:FEWER_ROWS], _draw_queries()))
         bank[seed % 100] = bank[200 + seed % 100]
         scores, truth = _score(matcher, bank, queries[order]), _compute_truth(bank, queries[order])
-        _require_alike(scores / 4.0**k, truth / 4.0**k, "scores must follow the definition in any space and order")
+        sentence = "scores must follow the definition in any space and order"
+        cause = partial(_name_mistake, scores, bank, queries[order])
+        _require_alike(scores / 4.0**k, truth / 4.0**k, sentence, cause)
 
     hold(claim, seed=whole(0, 999), k=whole(-6, 6), order=orders(QUERIES))
 
@@ -121,21 +133,66 @@ def _require_defined(
         raise ContractError(f"scores must take weights; otherwise declare weights=False ({error})") from error
     require_array(scores, (len(queries), len(bank)), np.float32, "the scores")
     truth = _compute_truth(bank, queries, weights)
-    _require_alike(scores, truth, sentence)
+    _require_alike(scores, truth, sentence, partial(_name_mistake, scores, bank, queries, weights))
     best, right = scores.argmax(axis=1), truth.argmax(axis=1)
     require((best == right).all(), f"rows {right.tolist()} must have the highest scores, not {best.tolist()}")
 
 
-def _require_alike(scores: NDArray[np.floating], truth: NDArray[np.floating], sentence: str) -> None:
+def _name_mistake(
+    scores: Float32,
+    bank: Float32,
+    queries: Float32,
+    weights: Float32 | None = None,
+    others: Mapping[str, NDArray[np.floating]] | None = None,
+) -> str:
+    """Name the mistake that gives these scores; `others` are the scores of further mistakes."""
+    ones = np.ones_like(queries) if weights is None else weights
+    truth, plain = _compute_truth(bank, queries, ones), _compute_truth(bank, queries)
+    lengths = np.linalg.norm(queries, axis=1)[:, None] * np.linalg.norm(bank, axis=1)
+    mistakes = {
+        **(others or {}),
+        "the factor 1/2 is missing": 2 * truth,
+        "the sign is wrong; a more similar row has a higher score": -truth,
+        "the sign is wrong and the factor 1/2 is missing": -2 * truth,
+        "it is the negative distance; return minus half its square": -np.sqrt(-2 * truth),
+        "it is the distance; return minus half its square": np.sqrt(-2 * truth),
+        "it is the scalar product": (ones * queries) @ bank.T,
+        "it is the cosine": queries @ bank.T / lengths,
+        "it is the cosine minus one": queries @ bank.T / lengths - 1,
+        "weights are ignored": plain,
+        "only the queries are weighted": _compute_truth(bank, ones * queries),
+        "weights are squared": _compute_truth(bank, queries, ones**2),
+        "the sum is divided by the sum of the weights": truth / ones.sum(axis=1, keepdims=True),
+        "the sum is divided by the mean weight": truth / ones.mean(axis=1, keepdims=True),
+    }
+
+    def explains(wrong: NDArray[np.floating]) -> bool:
+        both = np.isfinite(scores) & np.isfinite(wrong)
+        rounding = TOLERANCE * max(float(np.abs(truth).max()), 1e-12)
+        return bool(both.any() and np.abs(scores[both] - wrong[both]).max() <= rounding)
+
+    return name_cause({what: partial(explains, wrong) for what, wrong in mistakes.items()})
+
+
+def _require_alike(
+    scores: NDArray[np.floating], truth: NDArray[np.floating], sentence: str, cause: Callable[[], str] = str
+) -> None:
     """Raise ContractError if no entry is finite in both `scores` and `truth`, or if they differ at such an entry."""
     both = np.isfinite(scores) & np.isfinite(truth)
     require(both.any(), sentence)
-    require_close(scores[both], truth[both], TOLERANCE, sentence)
+    require_close(scores[both], truth[both], TOLERANCE, sentence, cause)
 
 
 def _score(matcher: Matcher, bank: Float32, queries: Float32) -> Float32:
     matcher.index(bank)
-    return matcher.scores(queries)
+    return _take(matcher.scores(queries), len(queries), len(bank))
+
+
+def _take(scores: Float32, queries: int, rows: int) -> Float32:
+    """Return scores. Raises ContractError unless they are an array (queries, rows of the bank)."""
+    form = np.shape(scores)
+    require(form == (queries, rows), f"the scores must have shape ({queries}, {rows}), not {form}")
+    return scores
 
 
 def _draw_bank(seed: int = 0) -> Float32:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +32,7 @@ from tactile_loc.simulate.place_training import PlaceProblem
 from tactile_loc.slots.encoder import TrainingProblem
 from tactile_loc.slots.registry import registry
 from tactile_loc.slots.renderer import Renderer
+from tactile_loc.testing.contract import share
 
 Array = NDArray[np.float64]
 
@@ -132,7 +132,7 @@ def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(np.concatenate([m.vertices_m for m in meshes]), np.concatenate(faces))
 
 
-@lru_cache(maxsize=1)
+@share
 def make_stepped_block() -> TriangleMesh:
     """Return a block of 16 x 10 x 6 mm without symmetry. Its underside (towards -z) has a boss, a ramp and a post.
 
@@ -151,7 +151,7 @@ def _make_ramp() -> TriangleMesh:
     return TriangleMesh(np.column_stack([x, y, sloping]), wedge.faces)
 
 
-@lru_cache(maxsize=1)
+@share
 def make_ball(radius_m: float = 0.008, rounds: int = 5) -> TriangleMesh:
     """Return a sphere about the origin, metres. It is an octahedron whose faces are divided in four `rounds` times."""
     corners = np.concatenate([np.eye(3), -np.eye(3)])
@@ -212,7 +212,7 @@ class PressedBlock:
         return float(PoseMetric(self.scene.object).distance(pose.T_sensor_object, self.truth))
 
 
-@lru_cache(maxsize=8)
+@share
 def make_block(scale: float = 1.0) -> ObjectModel:
     """Return the stepped block as an object without symmetry, scaled by a factor."""
     return make_plain_object("stepped block", scale_mesh(make_stepped_block(), scale))
@@ -223,20 +223,20 @@ def make_plain_object(name: str, mesh: TriangleMesh) -> ObjectModel:
     return ObjectModel(name, mesh, SymmetryGroup.parse("none", mesh.centroid_m))
 
 
-@lru_cache(maxsize=1)
+@share
 def make_prism() -> ObjectModel:
     """Return a six-sided prism, 10 mm across corners and 8 mm long, with its twelve rotations `z6*x2`."""
     mesh = make_cylinder(0.005, (-0.004, 0.004), sides=6)
     return ObjectModel("prism", mesh, SymmetryGroup.parse("z6*x2", mesh.centroid_m))
 
 
-@lru_cache(maxsize=1)
+@share
 def make_mirrored_block() -> ObjectModel:
     """Return the mirror image of the block. No rotation maps it to the block."""
     return make_plain_object("mirrored block", mirror_mesh(make_stepped_block()))
 
 
-@lru_cache(maxsize=1)
+@share
 def make_rod() -> ObjectModel:
     """Return a rod of 60 x 8 x 6 mm, declared without symmetry. Its width over a sensor depends on its yaw."""
     return make_plain_object("rod", make_box((-0.030, -0.004, -0.003), (0.030, 0.004, 0.003)))
@@ -254,7 +254,7 @@ def scale_sensor(geometry: SensorGeometry, scale: float) -> SensorGeometry:
     )
 
 
-@lru_cache(maxsize=8)
+@share
 def make_block_scene(camera: str = "orthographic", scale: float = 1.0) -> Scene:
     """Return a scene with the block, one of the CAMERAS, both scaled by a factor, and the reference renderer."""
     return Scene(make_block(scale), scale_sensor(CAMERAS[camera], scale), ReferenceRenderer())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 import traceback
 from collections.abc import Iterator
@@ -59,14 +60,21 @@ def train(encoder: Encoder) -> None:
     encoder.fit(make_training_problem())
 
 
+def _find_file(component: Component | CommandSpec) -> str:
+    """Return the path of the module of a component's class."""
+    return getattr(sys.modules.get(type(component).__module__), "__file__", None) or ""
+
+
 def _run_check(check: Check, component: Component | CommandSpec) -> CheckResult:
-    """Run a check. Its problem is one line; that of another exception than ContractError has the line of its origin."""
+    """Run a check. Its problem is one line. That of another exception than ContractError has the component's line."""
     start, problem = time.perf_counter(), ""
     try:
         check(component)
     except ContractError as error:
         problem = str(error) or "the contract is broken"
     except Exception as error:  # noqa: BLE001 - a plugin's component may raise anything
-        last = traceback.extract_tb(error.__traceback__)[-1]
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [frame for frame in frames if frame.filename == _find_file(component)]
+        last = (own or frames)[-1]
         problem = f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"
     return CheckResult(check.name, check.demands, " ".join(problem.split()), time.perf_counter() - start)

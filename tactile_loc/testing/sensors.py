@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,15 @@ from tactile_loc.core.sensing.depth_maps import KINDS, METRES_PER_UNIT
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.slots.sensor import DepthFiles, SensorModel
-from tactile_loc.testing.contract import ContractError, Untouched, check, require, require_close, require_equal
+from tactile_loc.testing.contract import (
+    ContractError,
+    Untouched,
+    check,
+    name_cause,
+    require,
+    require_close,
+    require_equal,
+)
 from tactile_loc.testing.properties import hold, whole
 
 
@@ -47,12 +56,16 @@ def check_depth_files(sensor: SensorModel) -> None:
 def check_contact_shape(sensor: SensorModel) -> None:
     """`contact_shape` returns float32 depths, metres, in the geometry's image size, from 0 to a valid press depth."""
     _, shape = observe(sensor)
-    require(isinstance(shape, ContactShape), f"contact_shape must return a ContactShape, not {type(shape).__name__}")
     depth, geometry = shape.depth_m, sensor.geometry
     require(depth.shape == geometry.shape, f"a contact shape has the image's size {geometry.shape}, not {depth.shape}")
     require(depth.dtype == np.float32, f"contact depths are float32, not {depth.dtype}")
     in_range = 0 < shape.press_depth_m <= geometry.max_depth_m * (1 + 1e-6)
-    require(in_range, f"the press depth must be within the sensor's maximal depth, not {shape.press_depth_m} m")
+    deepest_m = geometry.max_depth_m
+    sentence = (
+        f"the press depth must be within the sensor's maximal depth of {deepest_m:g} m, not {shape.press_depth_m:g} m"
+    )
+    in_mm = 20 * deepest_m < shape.press_depth_m <= 1e3 * deepest_m * (1 + 1e-6)
+    require(in_range, sentence, lambda: name_cause({"it is in millimetres": lambda: in_mm}))
     within = bool((depth >= 0).all() and (depth <= np.float32(shape.press_depth_m)).all())
     require(within, "contact depths must be from 0 to the press depth, which marks no contact, and not NaN")
 
@@ -97,7 +110,7 @@ def check_refuses_nonsense(sensor: SensorModel) -> None:
         except TouchError:
             continue
         except Exception as error:
-            raise ContractError(f"{what} must raise TouchError, not {type(error).__name__}") from error
+            raise ContractError(f"{what} must raise TouchError, not {type(error).__name__}: {error}") from error
         raise ContractError(f"{what} must raise TouchError, which the user reads; it was accepted")
 
 
@@ -123,6 +136,9 @@ def property_image_size(sensor: SensorModel) -> None:
             large = sensor.contact_shape(image.repeat(down, axis=0).repeat(across, axis=1))
         except TouchError:
             return
+        except Exception as error:
+            kind = type(error).__name__
+            raise ContractError(f"an image of another size must raise TouchError, not {kind}: {error}") from error
         require_close(large.depth_m, shape.depth_m, 1e-6, "an image of another size must be refused or read as a whole")
 
     hold(claim, across=whole(2, 4), down=whole(2, 4))
@@ -151,20 +167,51 @@ def observe(sensor: SensorModel) -> tuple[NDArray[Any], ContactShape]:
     """Return an observation that the sensor accepts, which is depths or an RGB image, and its contact shape."""
     depth = make_dome(sensor.geometry)
     try:
-        return depth, sensor.contact_shape(depth.copy())
+        return depth, _read(sensor, depth)
     except TouchError:
         grey = np.nan_to_num(depth / sensor.geometry.max_depth_m, nan=1.0)
         image = np.repeat((200 * grey).astype(np.uint8)[..., None], 3, axis=-1)
-        return image, sensor.contact_shape(image.copy())
+        return image, _read(sensor, image)
+
+
+def _read(sensor: SensorModel, observation: NDArray[Any]) -> ContactShape:
+    """Return the contact shape of a copy. Raises ContractError unless it is a ContactShape."""
+    shape = sensor.contact_shape(observation.copy())
+    require(isinstance(shape, ContactShape), f"contact_shape must return a ContactShape, not {type(shape).__name__}")
+    return shape
 
 
 def _require_kept(sensor: SensorModel, depth_m: NDArray[np.float64]) -> None:
     """Raise ContractError unless the sensor keeps depths (H, W), metres, or refuses depths."""
     try:
-        shape = sensor.contact_shape(depth_m.copy())
+        shape = _read(sensor, depth_m)
     except TouchError:  # the true contact shape of an image is unknown here
         return
+    form, found = sensor.geometry.shape, np.asarray(shape.depth_m)
+    require(found.shape == form, f"a contact shape has the image's size {form}, not {found.shape}")
     kept = depth_m < shape.press_depth_m
-    require_close(shape.depth_m[kept], depth_m[kept], 1e-7, "depths in metres must be kept")
+    whole = np.fmin(depth_m, shape.press_depth_m)
+    undone = {
+        "depths are in millimetres": found / 1e3,
+        "depths are multiplied by 1e-3 once too often": found * 1e3,
+        "depths are counted from the gel at rest; 0 is the deepest point": shape.press_depth_m - found,
+        "columns are in the opposite order": found[:, ::-1],
+        "rows are in the opposite order": found[::-1],
+        "the image is turned by half a turn": found[::-1, ::-1],
+        "the image is transposed": found.T,
+        "the image is turned by a quarter turn": np.rot90(found),
+        "the image is turned back by a quarter turn": np.rot90(found, -1),
+    }
+
+    def explains(depth: NDArray[np.floating]) -> bool:
+        return depth.shape == whole.shape and bool((np.abs(depth - whole)[kept] <= 1e-6).all())
+
+    require_close(
+        found[kept],
+        depth_m[kept],
+        1e-7,
+        "depths in metres must be kept",
+        lambda: name_cause({what: partial(explains, depth) for what, depth in undone.items()}),
+    )
     require(not shape.contact[~kept].any(), "a pixel at the press depth or deeper, or NaN, must not be in contact")
     require(shape.contact.any(), "a pixel above the press depth must be in contact")

@@ -504,3 +504,109 @@ FUSER = [
 
 
 BROKEN = [*COMMON, *SENSOR, *RENDERER, *GRID, *ENCODER, *MATCHER, *REFINER, *FUSER]
+
+
+def with_motion(change):
+    """ICP whose motion M = T @ inv(candidate) is changed to change(M, candidate)."""
+
+    def refine(self, touch, candidate, scene):
+        result, C = IcpRefiner().refine(touch, candidate, scene), candidate.T_sensor_object
+        return dataclasses.replace(result, T_sensor_object=change(result.T_sensor_object @ np.linalg.inv(C), C))
+
+    return made(NoRefiner, refine=refine, capabilities=DEFAULT)
+
+
+def with_pose(change):
+    return then(NoRefiner, "refine", lambda r, *_: dataclasses.replace(r, T_sensor_object=change(r.T_sensor_object)))
+
+
+def reversed_turn(M):
+    return make_transform(M[:3, :3].T, M[:3, 3])
+
+
+def seen_by(change):
+    """A renderer that draws with another camera or other poses: change(T, geometry) returns both."""
+
+    def render(self, mesh, T, geometry):
+        T, geometry = change(T, geometry)
+        return ReferenceRenderer.render(self, mesh, T, geometry)
+
+    return made(ReferenceRenderer, render=render)
+
+
+def shown(change):
+    return drawing(lambda depth, mesh, T, geometry: change(depth, geometry))
+
+
+def read_as(change):
+    return then(
+        GelSlim, "contact_shape", lambda s, _: ContactShape(change(s.depth_m).astype(np.float32), s.press_depth_m)
+    )
+
+
+def scored(change):
+    def scores(self, queries, weights=None):
+        return change(self._bank, queries, np.ones_like(queries) if weights is None else weights).astype(np.float32)
+
+    return made(DenseMatcher, scores=scores)
+
+
+def squares(bank, queries, weights):
+    return np.einsum("md,mnd->mn", weights, (queries[:, None] - bank[None]) ** 2)
+
+
+def in_mm(T, *_):
+    return make_transform(T[:, :3, :3], 1e3 * T[:, :3, 3])
+
+
+def without_sensor_poses(self, posteriors, T_base_sensor, prior=None):
+    return ProductFuser.fuse(self, posteriors, [np.eye(4)] * len(posteriors), prior)
+
+
+def with_prior(change):
+    def fuse(self, posteriors, T_base_sensor, prior=None):
+        changed = None if prior is None else (lambda poses: change(prior(poses), len(posteriors)))
+        return ProductFuser.fuse(self, posteriors, T_base_sensor, changed)
+
+    return made(ProductFuser, fuse=fuse)
+
+
+# Mistakes that authors made or may make, and words of the cause that the check must name.
+CAUSES = [
+    (refiners.check_offsets_shrink, with_motion(lambda M, C: reversed_turn(M) @ C), "turns the wrong way"),
+    (refiners.check_offsets_shrink, with_motion(lambda M, C: np.linalg.inv(M) @ C), "is inverted"),
+    (refiners.check_quarter_turn, with_motion(lambda M, C: C @ M), "on the object's side"),
+    (refiners.check_offsets_shrink, with_motion(lambda M, C: C.copy()), "refines=False"),
+    (refiners.check_truth_stays, with_pose(reversed_turn), "the rotation is transposed"),
+    (refiners.check_truth_stays, with_pose(np.linalg.inv), "the pose is inverted"),
+    (refiners.check_truth_stays, with_pose(np.transpose), "row vectors"),
+    (refiners.check_truth_stays, with_pose(lambda T: make_transform(T[:3, :3], 1e3 * T[:3, 3])), "millimetres"),
+    (renderers.check_hidden_surfaces, made(ReferenceRenderer, render=transposed), "transposed"),
+    (renderers.check_plane, seen_by(lambda T, g: (np.linalg.inv(T), g)), "T_sensor_object is inverted"),
+    (renderers.check_plane, seen_by(lambda T, g: (T, dataclasses.replace(g, fy=g.fx))), "fx is used for fy"),
+    (
+        renderers.check_sphere,
+        seen_by(lambda T, g: (T, dataclasses.replace(g, cx=g.cx + 0.5, cy=g.cy + 0.5))),
+        "half a pixel",
+    ),
+    (renderers.check_undercuts, shown(lambda d, g: d * np.float32(1e3)), "millimetres"),
+    (renderers.check_undercuts, shown(lambda d, g: d[:, :, ::-1]), "columns are in the opposite order"),
+    (renderers.check_undercuts, made(HeightmapRenderer, capabilities=DEFAULT), "exact_undercuts=False"),
+    (renderers.check_sphere, shown(lambda d, g: d - np.float32(g.standoff_m)), "add standoff_m"),
+    (renderers.check_output, shown(lambda d, g: np.where(np.isinf(d), np.float32(0), d)), "have depth 0"),
+    (sensors.check_depths_are_kept, read_as(lambda d: 1e3 * d), "millimetres"),
+    (sensors.check_depths_are_kept, read_as(lambda d: d[:, ::-1]), "columns are in the opposite order"),
+    (sensors.check_depths_are_kept, read_as(lambda d: d[::-1]), "rows are in the opposite order"),
+    (sensors.check_depths_are_kept, read_as(lambda d: d.max() - d), "0 is the deepest point"),
+    (matchers.check_definition, scored(lambda b, q, w: -squares(b, q, w)), "factor 1/2"),
+    (matchers.check_index_replaces, scored(lambda b, q, w: q @ b.T), "scalar product"),
+    (matchers.check_weights, scored(lambda b, q, w: -0.5 * squares(b, q, np.ones_like(w))), "weights are ignored"),
+    (matchers.check_weights, scored(lambda b, q, w: -0.5 * squares(b, w * q, np.ones_like(w))), "only the queries"),
+    (encoders.check_patches, made(PixelEncoder, encode=fixed_threshold), "inherited"),
+    (encoders.check_press_depth_marks_no_contact, made(PixelEncoder, encode=fixed_threshold), "by a fixed depth"),
+    (grids.check_poses_reach_contact, then(FaceGrid, "sample", in_mm), "millimetres"),
+    (grids.check_denser_grid_has_more_poses, sampling(lambda s: 0.008), "spacing_m is not used"),
+    (fusers.check_prior_multiplies, with_prior(lambda w, touches: 0 * np.nan_to_num(w)), "the prior is ignored"),
+    (fusers.check_prior_multiplies, with_prior(lambda w, touches: touches * w), "added twice"),
+    (fusers.check_sensor_poses, made(ProductFuser, fuse=without_sensor_poses), "T_base_sensor is ignored"),
+]

@@ -6,9 +6,11 @@ import dataclasses
 import subprocess
 import sys
 
+import numpy as np
 import pytest
-from broken_components import BROKEN
+from broken_components import BROKEN, CAUSES, drawing, made, then
 
+from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.slots.component import Capabilities
@@ -29,6 +31,7 @@ from tactile_loc.testing import (
     sensors,
 )
 from tactile_loc.testing.contract import CHECKS, PROPERTY
+from tactile_loc.testing.problems import make_block
 from tactile_loc.testing.running import run_checks
 
 MODULES = (contract, sensors, renderers, grids, encoders, matchers, refiners, fusers)
@@ -42,6 +45,45 @@ def test_a_broken_component_is_noticed(check, component):
     assert "\n" not in sentence
     assert len(sentence) > 30
     assert not check.is_property or "=" in sentence, "the message lacks the values of its case"
+
+
+@pytest.mark.parametrize(("check", "component", "words"), CAUSES, ids=lambda x: getattr(x, "name", ""))
+def test_the_message_names_the_cause(check, component, words):
+    with pytest.raises(ContractError) as caught:
+        check(component)
+    assert words in str(caught.value).partition("; ")[2]
+
+
+def test_not_a_number_equals_itself():
+    component = drawing(lambda depth, *_: np.where(np.isinf(depth), np.float32(np.nan), depth))
+    renderers.check_deterministic(component)
+    with pytest.raises(ContractError):
+        renderers.check_output(component)
+
+
+def test_an_input_that_one_check_lets_change_is_new_in_the_next():
+    def shifting(poses, obj, *_):
+        obj.mesh.vertices_m[:] += 1e-3
+        return poses
+
+    before = make_block().mesh.vertices_m.copy()
+    grids.check_poses_are_rigid(then(FaceGrid, "sample", shifting))
+    assert np.array_equal(make_block().mesh.vertices_m, before)
+
+
+def test_an_error_in_every_case_is_not_blamed_on_a_difficult_one():
+    def fails(self, touch, candidate, scene):
+        raise RuntimeError("no such attribute")
+
+    with pytest.raises(RuntimeError, match="no such attribute"):
+        refiners.check_degenerate_contact(made(NoRefiner, refine=fails))
+
+
+def test_the_cause_of_poses_that_do_not_touch_is_not_guessed():
+    beside = then(FaceGrid, "sample", lambda T, *_: T + np.pad([[0.3]], ((0, 3), (3, 0))))
+    with pytest.raises(ContractError) as caught:
+        grids.check_poses_reach_contact(beside)
+    assert "cause" not in str(caught.value)
 
 
 def test_every_check_has_a_broken_component():
