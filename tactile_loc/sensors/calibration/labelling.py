@@ -28,9 +28,8 @@ UNTOUCHED = "untouched-gel.png"  # the composed image of the untouched gel
 class LabelledFolder:
     """A `folder` with the table of presses, and the path `sensor` of the sensor's file, which may be missing.
 
-    If the table was just written, `found` are the balls in the images, `depths_mm` are the least and the largest press
-    depth, mm, by their circles, and `ball_px` is the radius of the ball in pixels, as given. Otherwise, `unlisted` is
-    the number of images that are not in the table.
+    If the table was just written, `found` are the balls in the images, and `depths_mm` are the least and the largest
+    press depth, mm, by their circles. Otherwise, `unlisted` is the number of images that are not in the table.
     """
 
     folder: Path
@@ -38,10 +37,9 @@ class LabelledFolder:
     found: FoundPresses | None = None
     depths_mm: tuple[float, float] = (0.0, 0.0)
     unlisted: int = 0
-    ball_px: float = math.inf
 
     def describe(self) -> list[str]:
-        """Return sentences about circles wider than the ball, the images, unused images, and the press depths."""
+        """Return sentences about the images, the images that are not used, and the press depths."""
         if self.found is None:
             return []
         found, (least_mm, most_mm) = self.found, self.depths_mm
@@ -50,29 +48,7 @@ class LabelledFolder:
         gel = f"{untouched} of the untouched gel" if untouched else composed
         dropped = [f"  not used: {press.name}: {press.dropped}" for press in found.presses if press.dropped]
         depths = f"press depths, estimated from the circles: {least_mm:.2f} to {most_mm:.2f} mm"
-        return [
-            *self._describe_wide(),
-            f"images: {len(found.used)} with a ball, {gel}",
-            *dropped,
-            f"{depths}; check that they are plausible",
-        ]
-
-    def _describe_wide(self) -> list[str]:
-        """Return a sentence about the circles that are wider than the ball, if there are any."""
-        assert self.found is not None
-        radii_px = [press.circle.radius_px for press in self.found.presses if press.circle is not None]
-        wide = [radius for radius in radii_px if radius > STEEPEST * self.ball_px]
-        if not wide:
-            return []
-        used = sum(
-            press.circle is not None and press.circle.radius_px > STEEPEST * self.ball_px for press in self.found.used
-        )
-        return [
-            f"{len(wide)} of {len(radii_px)} circles are as wide as the ball or wider: up to {max(wide):.1f} px, but "
-            f"`ball_radius` and `mm_per_px` give {self.ball_px:.1f} px. A ball {max(wide) / self.ball_px:.2f} times as "
-            f"large would fit all of them. Check both numbers, or press less deep. {used} of these circles are reduced "
-            f"to {100 * STEEPEST:.0f} % of the ball's radius, and {len(wide) - used} are not used"
-        ]
+        return [f"images: {len(found.used)} with a ball, {gel}", *dropped, f"{depths}; check that they are plausible"]
 
 
 def label_presses(
@@ -126,7 +102,7 @@ def label_presses(
     _write_labels(folder, found, ball_radius_mm, scale)
     if not file.exists():
         write_scale(folder, frames[0].image.shape[:2], scale)
-    return LabelledFolder(folder, file, found, depths_mm, ball_px=ball_radius_mm / scale)
+    return LabelledFolder(folder, file, found, depths_mm)
 
 
 def _count_unlisted(folder: Path, ball_radius_mm: float) -> int:
