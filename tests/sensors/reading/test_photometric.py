@@ -26,7 +26,7 @@ def train(**options: float) -> PhotometricEstimator:
 
 @pytest.fixture(scope="module")
 def estimator() -> PhotometricEstimator:
-    return train(units=300, smoothness=1e-5)  # the photos have no noise
+    return train(units=300)
 
 
 def test_the_estimator_generalizes_to_unseen_presses(estimator):
