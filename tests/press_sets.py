@@ -22,7 +22,7 @@ from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 
 MM = 1e-3
 BALL_M = 3e-3
-TINY = {"units": 100, "pixels": 20_000}
+TINY = {"steps": 200, "hidden": 16, "pixels": 1024}
 COLUMNS = (
     "image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm",
     "mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm",

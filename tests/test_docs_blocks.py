@@ -68,7 +68,7 @@ CHEAPER = {
     "simulate": [*COARSE, "--count", "2"],
     "evaluate": [*COARSE, *SURE, "--count", "2"],
     "paper": [*COARSE, *SURE, "--count", "2"],
-    "calibrate": ["-o", "units=20"],
+    "calibrate": ["-o", "steps=20", "-o", "hidden=4"],
     "mount": ["-o", "temperature=0.001", "-o", "grid.directions=300"],
     "replay": [*COARSE, "-o", "temperature=0.001"],
     "identify": ["-o", "temperature=0.05", "-o", "grid.directions=300"],

@@ -233,7 +233,7 @@ _ALL = (
     Reader("approaches", partial(corpora.texts, "approaches"),
            lambda folder: _require_rigid(*(one.T_base_sensor for one in _approaches(folder, np.eye(4))))),
     Reader("presses", corpora.presses, _presses,
-           "calibrate FOLDER --sensor FOLDER/sensor.toml --out FOLDER/out -o units=5",
+           "calibrate FOLDER --sensor FOLDER/sensor.toml --out FOLDER/out -o steps=5",
            ("presses.csv", "sensor.toml", "0000.png", "part.stl")),
     Reader("public-sets", corpora.public_sets,
            lambda folder: _read_every(partial(convert_presses, folder / name, folder / "out" / kind, kind, 4.0, 0.1)

@@ -24,8 +24,8 @@ from tactile_loc.sensors.optics.shading import render_background  # noqa: E402
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator  # noqa: E402
 
 BALLS = ball_set(16, px=80)
-UNITS = ["-o", "units=100"]
-FEW = ["-o", "units=4"]
+STEPS = ["-o", "steps=300", "-o", "hidden=16"]
+FEW = ["-o", "steps=2", "-o", "hidden=4"]
 GRID = ["--grid", "face", "-o", "grid.spacing_mm=2.5"]
 ELL = ["--object", "ell.stl", "--units", "mm", "--symmetry", "none"]
 
@@ -66,7 +66,7 @@ def add_m(found: list, true: list) -> float:
 @pytest.mark.slow
 @pytest.mark.usefixtures("drawn_pictures")
 def test_a_sensor_calibrated_from_photos_locates_a_photo(cli, presses):
-    done = succeed(cli("calibrate", presses, *UNITS, "--out", "mine"))
+    done = succeed(cli("calibrate", presses, *STEPS, "--out", "mine"))
     assert "3 of 16" in done.stdout
     assert re.search(r"angle.*\d", done.stdout)
     assert "--sensor mine --touch IMAGE" in done.stdout
@@ -158,10 +158,10 @@ def test_each_fault_of_a_folder_is_one_sentence(cli, presses, what):
     ("words", "said"),
     [
         (["none"], ("none", "folder")),
-        (["presses", "-o", "unitz=3"], ("'photometric'", "'unitz'", "'units'")),
-        (["presses", "-o", "units=many"], ("units", "'many'", "whole number")),
-        (["presses", "-o", "units=0"], ("'photometric'", "units", "0")),
-        (["presses", "-o", "units"], ("units", "OPTION=VALUE")),
+        (["presses", "-o", "stepz=3"], ("'photometric'", "'stepz'", "'steps'")),
+        (["presses", "-o", "steps=many"], ("steps", "'many'", "whole number")),
+        (["presses", "-o", "steps=0"], ("'photometric'", "steps", "0")),
+        (["presses", "-o", "steps"], ("steps", "OPTION=VALUE")),
     ],
 )
 def test_a_missing_folder_or_a_wrong_estimator_option_is_refused(cli, presses, words, said):

@@ -25,7 +25,7 @@ max_depth_mm = 2.0
 mm_per_px = 0.4
 """
 TINY = {
-    "photometric": ["--estimator", "photometric", "-o", "units=20"],
+    "photometric": ["--estimator", "photometric", "-o", "steps=20"],
     "cnn": ["--estimator", "cnn", "-o", "channels=4", "-o", "epochs=1"],
 }
 

@@ -19,7 +19,7 @@ from press_sets import BALL_M, MM, ball_set, is_same_camera, write_image  # noqa
 from tactile_loc.sensors.calibration.folder import read_calibration  # noqa: E402
 
 BALLS = ball_set(7, px=80)
-FEW = ["-o", "units=4"]
+FEW = ["-o", "steps=2", "-o", "hidden=4"]
 BALL = ["--ball-radius", BALL_M / MM]
 SCALE = ["--mm-per-px", 0.2]
 

@@ -98,7 +98,7 @@ def test_calibrate_reports_angles_in_radians(document):
     Path("sensor.toml").write_text(
         'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'
     )
-    words = ["--sensor", "sensor.toml", "--presses", 8, "-o", "units=5", "--out", "mine"]
+    words = ["--sensor", "sensor.toml", "--presses", 8, "-o", "steps=5", "--out", "mine"]
     found = document("calibrate", "--simulated", *words)
     errors = json.loads(Path("mine/calibration.json").read_text())["held_out"]["mean"]
     assert found["held_out"]["mean_errors"]["slope_rad"] == pytest.approx(np.radians(errors["slope_deg"]))

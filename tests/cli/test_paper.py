@@ -61,7 +61,7 @@ def test_one_command_writes_all_results_beside_those_of_the_paper(cli, tmp_path)
 @pytest.mark.slow
 def test_images_are_located_with_a_calibrated_sensor(cli, tmp_path):
     (tmp_path / "sensor.toml").write_text(FLAT_SENSOR)
-    learn = ["--estimator", "photometric", "--presses", 20, "-o", "units=200"]
+    learn = ["--estimator", "photometric", "--presses", 20, "-o", "steps=200"]
     succeed(cli("calibrate", "--simulated", "--sensor", "sensor.toml", *learn, "--out", "mine"))
     succeed(cli("paper", "--object", "pin", "--images", "--sensor", "mine", *FEW))
     protocol = json.loads((tmp_path / "paper" / "results.json").read_text())["protocol"]

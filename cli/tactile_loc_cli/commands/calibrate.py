@@ -76,7 +76,7 @@ Presses = Annotated[
 ]
 Curved = Annotated[bool, declare("--curved", "Also learn the surface of a curved gel, from presses of a ball.")]
 EstimatorOption = Annotated[
-    list[str] | None, set_option("Set an option of the estimator, such as units=1000.", "OPTION=VALUE")
+    list[str] | None, set_option("Set an option of the estimator, such as steps=4000.", "OPTION=VALUE")
 ]
 HeldOutSeed = Annotated[int, declare("--seed N", "Seed that chooses the held-out presses.", min=0)]
 Out = Annotated[Path, declare("--out FOLDER", "Calibration folder to write.")]
@@ -158,7 +158,7 @@ def _parse_options(words: list[str]) -> dict[str, Any]:
 
     for word in words:
         if not word.partition("=")[1]:
-            raise ConfigError(f"the option {word!r} cannot be read; write OPTION=VALUE, such as units=1000")
+            raise ConfigError(f"the option {word!r} cannot be read; write OPTION=VALUE, such as steps=4000")
     return parse_overrides([f"sensor.{word}" for word in words]).get("sensor", {})  # parsing needs the name of a slot
 
 

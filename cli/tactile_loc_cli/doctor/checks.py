@@ -224,7 +224,7 @@ LIBRARIES = (
     Dependency(
         "torch",
         ("torch",),
-        "the encoder moco, the estimator cnn, and curved gels",
+        "the encoder moco, and sensors that read images",
         "pip install 'tactile-loc[learned]'",
         trial="torch",
     ),

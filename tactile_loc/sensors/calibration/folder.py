@@ -33,7 +33,7 @@ from tactile_loc.sensors.reading.reading import (
 from tactile_loc.store.files import guard_output, is_unfinished, read_json, recover_folder, replace_folder
 from tactile_loc.store.keys import hash_arrays, hash_file
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 1
 SENSOR, BACKGROUND, WEIGHTS = "sensor.toml", "background.png", "estimator.safetensors"
 PICTURE = "held-out.png"
 ZERO_ADVICE = "take it with the same sensor and light, or calibrate again"
@@ -98,7 +98,7 @@ class Calibration:
     def estimator(self) -> GelEstimator:
         """The trained estimator.
 
-        Raises WeightsError when the weights cannot be read, and MissingLibraryError when its library is missing.
+        Raises WeightsError when the weights cannot be read, and MissingLibraryError when torch is not installed.
         """
         known = self.gel if self.untouched is self.background else UntouchedGel.of(self.background)
         with name_source(self.folder / CALIBRATION):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.runtime.errors import CalibrationError, MissingLibraryError, SensorError
+from tactile_loc.core.runtime.errors import CalibrationError, SensorError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.sensor_files import read_sensor_file
@@ -28,7 +28,7 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 HELD_OUT = 0.2  # share of the presses on which the errors are measured
 FEWEST = 5  # fewest presses for a calibration: four for training and one held out
-STAGE_VERSION, RECORD = 6, "held-out"
+STAGE_VERSION, RECORD = 5, "held-out"
 LOOKED_AT = 60  # largest number of presses for which the health is measured
 QUANTITIES = {
     "slope_deg": ("surface angle in the contact", 1, ".2f", "°"),
@@ -207,12 +207,8 @@ def calibrate_folder(
     camera = sensor if isinstance(sensor, SensorGeometry) else read_sensor_file(sensor)
     presses = read_presses(folder, camera, reading.median_background, reading.size_px or choose_size_px(camera))
     if reading.curved:
-        try:
-            from tactile_loc.sensors.reading.relief import learn_relief
-        except ImportError as error:
-            raise MissingLibraryError(
-                f"curved gels need {error.name}, which is not installed: pip install 'tactile-loc[learned]'"
-            ) from error
+        from tactile_loc.sensors.reading.relief import learn_relief
+
         relief_m = learn_relief(presses, recipe.seed, watcher)
         presses = replace(presses, geometry=replace(presses.geometry, relief_m=relief_m))
     presses = presses.measure_gel(watcher)

@@ -42,7 +42,6 @@ OVERSIZED = "imprint larger than the ball"
 TOO_LARGE = 1.3  # largest radius of a circle with its skirt, in radii of the ball
 MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # least shift, share of change and pixels it explains, and texture, counts
 ALIKE = 0.25  # least gain of correlation by a large shift
-COMPARED = 8000  # approximate number of pixels in which a small shift is measured
 LEAST_FREE = 0.1  # least untouched share of the image for measuring a shift
 TRIED, JUDGES = 6, 10  # number of images tried as the untouched gel, and of images that are compared with them
 KEPT = 6  # number of images from which each pixel of the untouched gel is composed
@@ -275,9 +274,8 @@ def _measure_shift(change: Float32, reference: Float32, touched: Mask) -> float:
     gel, seen = _extract_details(reference), _extract_details(change)
     if free.mean() < LEAST_FREE or np.quantile(np.abs(gel[free]), 0.99) < SEEN:
         return 0.0
-    some = np.s_[:: max(1, int(free.sum()) // COMPARED)]
-    gradients = np.stack([np.gradient(gel, axis=axis)[free][some].ravel() for axis in (1, 0)], axis=1)
-    values = seen[free][some].ravel()
+    gradients = np.stack([np.gradient(gel, axis=axis)[free].ravel() for axis in (1, 0)], axis=1)
+    values = seen[free].ravel()
     evenly = np.ones(len(values))
     factors, weight = fit_robustly(gradients, values[:, None], evenly, lambda typical: 4 * 1.48 * typical + 1e-6, 8)
     shift = factors[:, 0]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -292,14 +291,6 @@ class CnnEstimator(GelEstimator):
         """
         samples = Samples.of(presses, self._fixed, progress)
         CnnTrainer(self.options, self._network, samples, checkpoints).run(progress)
-
-    def list_weights(self) -> Mapping[str, NDArray[np.generic]]:
-        """Return the network's weights by name."""
-        return {name: tensor.detach().cpu().numpy() for name, tensor in self._network.state_dict().items()}
-
-    def set_weights(self, weights: Mapping[str, NDArray[np.generic]]) -> None:
-        """Replace the network's weights. Raises RuntimeError when they are of another network."""
-        self._network.load_state_dict({name: torch.from_numpy(one) for name, one in weights.items()})
 
     def read(self, image: Image) -> tuple[Float32, None]:
         """Return the contact's indentation (H, W), metres, and None, because slopes are not estimated."""

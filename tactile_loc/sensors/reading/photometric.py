@@ -1,36 +1,52 @@
 """Estimates the gel's slope from the colour of each pixel, and integrates the slopes to heights.
 
-A map from colours to angles is learned from a few dozen presses of a ball. The method is photometric stereo with
-measured instead of modelled light, after Johnson and Adelson (CVPR 2009). The map is a sum of many random smooth steps
-(Rahimi and Recht, NIPS 2007), whose factors follow from one linear equation. Poisson integration gives the heights. The
-drift of the heights is estimated where the gel is untouched, and subtracted.
+The network learns from a few dozen presses of a ball. The method is photometric stereo with measured instead of
+modelled light, after Johnson and Adelson (CVPR 2009). Wang et al. (GelSight Wedge, ICRA 2021) found that a small
+network and few presses are enough. Poisson integration gives the heights. The drift of the heights is estimated where
+the gel is untouched, and subtracted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 
 import numpy as np
-from numpy.typing import NDArray
+import torch
 from pydantic import Field
-from scipy.linalg import solve
 from scipy.ndimage import gaussian_filter
+from torch import nn
 
-from tactile_loc.core.runtime.errors import CalibrationError
+from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.labels import Float32, Image, LabelledPresses, PressLabel
+from tactile_loc.sensors.calibration.labels import Float32, Image, LabelledPresses
 from tactile_loc.sensors.reading.estimator import DIFFERENCE, FIXED, GelEstimator, scale_difference
 from tactile_loc.sensors.reading.surface import find_indentation
 from tactile_loc.slots.encoder import Checkpoints
 
-SMOOTHINGS_PX = (1.0, 3.0)  # Gaussian widths that smooth the colour difference: against noise, and around a pixel
+SMOOTHINGS_PX = (1.0, 3.0)  # Gaussian widths that smooth the colour difference: against noise, and for the surroundings
 FEATURES = DIFFERENCE * len(SMOOTHINGS_PX) + FIXED
-STEEPNESS, FARTHEST = 0.7, 1.5  # of the random steps, and their largest offset, standard deviations of the features
-PIXELS_AT_ONCE = 2048  # fits into the processor's cache
-STEEPEST_RAD = 1.4  # largest estimated angle
+OUTLIER_RAD = 0.1  # error of the angle above which the loss is linear
+STEPS_A_PRESS, MOST_STEPS = 100, 5000
+PIXELS_AT_ONCE = 1 << 16
+REPORT_EVERY = 50  # steps
 LEAST_SLOPE = 0.02  # of the gel beside a contact; flatter pixels count as untouched
+
+
+class SlopeNetwork(nn.Module):
+    """Maps features (N, FEATURES) to slopes (N, 2) by a linear map, which extrapolates, plus a nonlinear correction."""
+
+    def __init__(self, hidden: int) -> None:
+        super().__init__()
+        self.linear = nn.Linear(FEATURES, 2)
+        layers = [nn.Linear(FEATURES, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(), nn.Linear(hidden, 2)]
+        self.bent = nn.Sequential(*layers)
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        """Return slopes (N, 2), unitless, for features (N, FEATURES)."""
+        slopes: torch.Tensor = self.linear(features) + self.bent(features)
+        return slopes
 
 
 class PhotometricEstimator(GelEstimator):
@@ -39,66 +55,56 @@ class PhotometricEstimator(GelEstimator):
     name = "photometric"
 
     class Options(ComponentOptions):
-        """The map from colours to slopes."""
+        """The network and its training."""
 
-        units: int = Field(default=500, ge=4, le=4000, description="random steps that the map consists of")
-        smoothness: float = Field(default=1e-4, gt=0, description="penalty of the map's factors; larger is smoother")
-        pixels: int = Field(default=60_000, ge=64, description="largest number of pixels to learn from")
+        hidden: int = Field(default=48, ge=4, le=512, description="units of each of the two hidden layers")
+        steps: int | None = Field(
+            default=None, ge=1, description="training steps; by default 100 for each press, at most 5000"
+        )
+        pixels: int = Field(default=4096, ge=64, description="pixels in each step")
+        rate: float = Field(default=3e-3, gt=0, description="highest learning rate")
         untouched: float = Field(default=0.5, ge=0, le=10, description="untouched pixels for each pixel in contact")
-        seed: int = Field(default=0, ge=0, description="seed of the random steps and of the chosen pixels")
+        seed: int = Field(default=0, ge=0, description="seed of the training")
 
     def __init__(self, geometry: SensorGeometry, background: Image, options: ComponentOptions | None = None) -> None:
         super().__init__(geometry, background, options)
-        rng, units = np.random.default_rng(self.options.seed), self.options.units
-        self.weights = {
-            "mean": np.zeros(FEATURES, np.float32),
-            "scale": np.ones(FEATURES, np.float32),
-            "directions": (STEEPNESS / np.sqrt(FEATURES) * rng.normal(size=(FEATURES, units))).astype(np.float32),
-            "offsets": rng.uniform(-FARTHEST, FARTHEST, units).astype(np.float32),
-            "factors": np.zeros((FEATURES + units + 1, 2), np.float32),
-        }
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.options.seed)
+            self._network: SlopeNetwork = SlopeNetwork(self.options.hidden)
 
     def fit(self, presses: LabelledPresses, progress: Progress, checkpoints: Checkpoints) -> None:
         """Learn the slopes of the pixels in contact and of some untouched pixels.
 
-        Raises CalibrationError when no press shows contact.
+        Raises CalibrationError when no press shows contact, and TrainingError when the loss becomes NaN.
         """
-        rng, samples = np.random.default_rng(self.options.seed), []
-        with progress.task("learning slope from colour", 2 * len(presses)) as advance:
-            for image, label in presses.read_presses():
-                samples.append(self._sample_pixels(image, label, rng, len(presses)))
+        features, slopes = self._collect_samples(presses)
+        angles = slopes.atan()
+        generator = torch.Generator().manual_seed(self.options.seed)
+        optimizer = torch.optim.AdamW(self._network.parameters(), self.options.rate, weight_decay=1e-3)
+        steps = self.options.steps or min(STEPS_A_PRESS * len(presses), MOST_STEPS)
+        with progress.task("learning slope from colour", steps) as advance:
+            for step in range(steps):
+                for group in optimizer.param_groups:
+                    group["lr"] = self.options.rate * 0.5 * (1.003 + math.cos(math.pi * step / steps))
+                chosen = torch.randint(len(features), (self.options.pixels,), generator=generator)
+                off_rad = self._network(features[chosen]).atan() - angles[chosen]
+                loss = nn.functional.huber_loss(off_rad, torch.zeros_like(off_rad), delta=OUTLIER_RAD)
+                if not math.isfinite(float(loss.detach())):
+                    raise TrainingError(f"the loss became NaN in step {step + 1}; lower the estimator's rate")
+                optimizer.zero_grad(set_to_none=True)
+                loss.backward()  # type: ignore[no-untyped-call]
+                optimizer.step()
+                if step % REPORT_EVERY == 0:
+                    mean_rad = float(off_rad.detach().abs().mean())
+                    progress.note(f"mean error of the angle {math.degrees(mean_rad):.2f}°")
                 advance(1)
-            if not any(touched for _, _, touched in samples):
-                raise CalibrationError("no press is in contact with the gel; check the poses or circles of the presses")
-            every = np.concatenate([features for features, _, _ in samples])
-            self.weights |= {"mean": every.mean(axis=0), "scale": np.maximum(every.std(axis=0), 1e-6)}
-            size = len(self.weights["factors"])
-            squares, moments = np.zeros((size, size)), np.zeros((size, 2))
-            for features, angles, _ in samples:
-                terms = self._expand(features)
-                squares += terms.T @ terms / np.float32(len(every))
-                moments += terms.T @ angles / np.float32(len(every))
-                advance(1)
-        squares[np.diag_indices(size)] += self.options.smoothness
-        self.weights["factors"] = solve(squares, moments, assume_a="sym").astype(np.float32)
-
-    def list_weights(self) -> Mapping[str, NDArray[np.generic]]:
-        """Return what was learned, by name."""
-        return self.weights
-
-    def set_weights(self, weights: Mapping[str, NDArray[np.generic]]) -> None:
-        """Replace what was learned. Raises ValueError when the weights are of another estimator."""
-        shapes, wanted = ({name: one.shape for name, one in each.items()} for each in (weights, self.weights))
-        if shapes != wanted:
-            raise ValueError(f"the file has the arrays {shapes}, not {wanted}")
-        self.weights = {name: one.astype(np.float32) for name, one in weights.items()}
 
     def estimate_slopes(self, image: Image) -> Float32:
         """Return the slopes (H, W, 2) of the gel's surface along x and y, unitless."""
-        pixels = self._stack_features(image).reshape(-1, FEATURES)
-        parts = np.split(pixels, range(PIXELS_AT_ONCE, len(pixels), PIXELS_AT_ONCE))
-        angles = np.concatenate([self._expand(part) @ self.weights["factors"] for part in parts])
-        return np.tan(np.clip(angles, -STEEPEST_RAD, STEEPEST_RAD)).reshape(*image.shape[:2], 2)
+        pixels = torch.from_numpy(self._stack_features(image).reshape(-1, FEATURES))
+        with torch.inference_mode():
+            parts = [self._network(part) for part in torch.split(pixels, PIXELS_AT_ONCE)]
+        return torch.cat(parts).numpy().reshape(*image.shape[:2], 2)
 
     def read(self, image: Image) -> tuple[Float32, Float32]:
         """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, that were integrated."""
@@ -110,29 +116,23 @@ class PhotometricEstimator(GelEstimator):
         smooth = [gaussian_filter(planes, (0, s, s), mode="nearest", truncate=3) for s in SMOOTHINGS_PX]
         return np.concatenate([np.moveaxis(np.concatenate(smooth), 0, -1), self._fixed], axis=-1)
 
-    def _expand(self, features: Float32) -> Float32:
-        """Return the map's terms (P, FEATURES + units + 1) at features (P, FEATURES): steps, linear and constant."""
-        units = self.options.units
-        terms = np.empty((len(features), FEATURES + units + 1), np.float32)
-        linear = (features - self.weights["mean"]) / self.weights["scale"]
-        np.tanh(linear @ self.weights["directions"] + self.weights["offsets"], out=terms[:, :units])
-        terms[:, units:-1], terms[:, -1] = linear, 1
-        return terms
+    def _collect_samples(self, presses: LabelledPresses) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return features (P, FEATURES) and slopes (P, 2) of the training pixels.
 
-    def _sample_pixels(
-        self, image: Image, label: PressLabel, rng: np.random.Generator, presses: int
-    ) -> tuple[Float32, Float32, int]:
-        """Return features (P, FEATURES) and angles (P, 2) of pixels of one of `presses` presses, and the touched ones.
-
-        These are the pixels with a known label that are in contact or slope, and some other pixels. If there are more
-        than the press's share of the largest number, a random part is returned.
+        These are all pixels with a known label that are in contact or slope, and some other pixels.
         """
-        slopes_visibly = np.hypot(label.slope[..., 0], label.slope[..., 1]) > LEAST_SLOPE
-        inside = label.known & (label.contact | slopes_visibly)
-        outside = rng.permutation(np.flatnonzero(label.known & ~inside))
-        few = int(self.options.untouched * max(int(inside.sum()), 1000))
-        chosen = np.concatenate([np.flatnonzero(inside), outside[:few]])
-        chosen = rng.permutation(chosen)[: max(1, self.options.pixels // presses)]
-        features = self._stack_features(image).reshape(-1, FEATURES)[chosen]
-        angles = np.arctan(label.slope.reshape(-1, 2)[chosen])
-        return features, angles.astype(np.float32), int((label.known & label.contact).sum())
+        rng = np.random.default_rng(self.options.seed)
+        features, slopes, touched = [], [], 0
+        for image, label in presses.read_presses():
+            slopes_visibly = np.hypot(label.slope[..., 0], label.slope[..., 1]) > LEAST_SLOPE
+            inside = label.known & (label.contact | slopes_visibly)
+            touched += int((label.known & label.contact).sum())
+            outside = np.flatnonzero(label.known & ~inside)
+            wanted = int(self.options.untouched * max(int(inside.sum()), 1000))
+            chosen = inside.ravel()
+            chosen[rng.permutation(outside)[:wanted]] = True
+            features.append(self._stack_features(image).reshape(-1, FEATURES)[chosen])
+            slopes.append(label.slope.reshape(-1, 2)[chosen])
+        if not touched:
+            raise CalibrationError("no press is in contact with the gel; check the poses or circles of the presses")
+        return torch.from_numpy(np.concatenate(features)), torch.from_numpy(np.concatenate(slopes))

@@ -36,7 +36,7 @@ PRESS_M = 7e-4
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    return write_calibrated(tmp_path_factory.mktemp("calibrated") / "sensor", BALLS, units=300)
+    return write_calibrated(tmp_path_factory.mktemp("calibrated") / "sensor", BALLS, steps=500)
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ from tactile_loc.store.store import StageStore  # noqa: E402
 
 BALLS, FIVE = ball_set(10), ball_set(5)
 GEOMETRY = BALLS.geometry
-FEW = {**TINY, "units": 5}
+FEW = {**TINY, "steps": 5}
 
 
 def test_every_press_is_used_for_training_or_held_out_as_the_seed_determines():
@@ -58,12 +58,6 @@ class Oracle(GelEstimator):
     def fit(self, presses, progress, checkpoints):
         assert isinstance(presses, Chosen)
         type(self).seen = tuple(presses.numbers)
-
-    def list_weights(self):
-        return {}
-
-    def set_weights(self, weights):
-        pass
 
     def read(self, image):
         number = next(i for i, other in enumerate(BALLS.images) if np.array_equal(other, image))
@@ -116,8 +110,8 @@ def test_means_ignore_unknown_errors():
 def test_too_few_presses_and_bad_options_are_refused():
     with pytest.raises(CalibrationError, match=naming("4 presses", 5)):
         calibrate(Chosen(BALLS, range(4)), EstimatorRecipe("photometric"))
-    with pytest.raises(ConfigError, match=naming("'photometric'", "units", "'many'")):
-        calibrate(BALLS, EstimatorRecipe("photometric", {"units": "many"}))
+    with pytest.raises(ConfigError, match=naming("'photometric'", "steps", "'many'")):
+        calibrate(BALLS, EstimatorRecipe("photometric", {"steps": "many"}))
 
 
 def test_the_calibration_reports_the_measured_held_out_errors():
@@ -149,7 +143,7 @@ def test_a_second_calibration_comes_from_the_store_and_a_damaged_one_is_replaced
     record, slopes = stage(folder, store)
     with monkeypatch.context() as patched:
         patched.setattr(PhotometricEstimator, "fit", None)  # a second training would fail
-        stage(folder, store, smoothness=PhotometricEstimator.Options().smoothness)  # the default, stated
+        stage(folder, store, rate=PhotometricEstimator.Options().rate)  # the default, stated
         same_record, same_slopes = stage(folder, store)
     assert len(store.built) == 1
     assert record == same_record
@@ -169,7 +163,7 @@ def test_any_changed_input_starts_a_new_calibration(folder, store, what):
         rows[2] |= {"kind": "mesh", "mesh": "box.stl", "units": "mm", "press_mm": 0.4, **pose}
         write_table(folder, rows)
     stage(folder, store)
-    more: dict = {"options": {"units": 6}, "seed": {"seed": 1}}.get(what, {})
+    more: dict = {"options": {"steps": 6}, "seed": {"seed": 1}}.get(what, {})
     if what.endswith(".png"):
         (folder / what).write_bytes((folder / "0001.png").read_bytes())
     elif what == "label":
@@ -202,8 +196,8 @@ def test_an_interrupted_calibration_stores_no_result(folder, store, monkeypatch)
 
 
 def test_bad_options_are_refused_before_anything_is_stored(folder, store):
-    with pytest.raises(ConfigError, match=naming("'unitz'", "'units'")):
-        stage(folder, store, unitz=3)
+    with pytest.raises(ConfigError, match=naming("'stepz'", "'steps'")):
+        stage(folder, store, stepz=3)
     assert not store.entries()
 
 

@@ -29,8 +29,8 @@ from tactile_loc.sensors.reading.estimator import (  # noqa: E402
 from tactile_loc.slots.encoder import Checkpoints  # noqa: E402
 
 BALLS = ball_set(6)
-SMALL = {"photometric": {**TINY, "units": 20}, "cnn": {"channels": 4, "epochs": 1, "batch": 4}}
-OTHER = {"photometric": {"units": 8}, "cnn": {"channels": 8}}
+SMALL = {"photometric": {**TINY, "steps": 20}, "cnn": {"channels": 4, "epochs": 1, "batch": 4}}
+OTHER = {"photometric": {"hidden": 8}, "cnn": {"channels": 8}}
 WIDE = SensorGeometry("orthographic", 80, 64, 4000.0, 4000.0, 40.0, 32.0, 0.01, 1.5e-3)
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -99,7 +99,7 @@ def test_presses_without_contact_are_refused(name):
 
 
 def test_unknown_options_and_estimators_are_named():
-    for options, words in (({"unitz": 3}, ("'unitz'", "'units'", "seed (int)")), ({"units": 0}, ("units", 0))):
+    for options, words in (({"stepz": 3}, ("'stepz'", "'steps'", "hidden (int)")), ({"steps": 0}, ("steps", 0))):
         with pytest.raises(ConfigError, match=naming("'photometric'", *words)):
             make("photometric", **options)
     with pytest.raises(CalibrationError, match=naming("'photometrik'", "'photometric'", "cnn")):
