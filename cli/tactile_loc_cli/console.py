@@ -259,10 +259,10 @@ class _RunningTask:
         now_s = time.monotonic()
         if now_s - self.shown_s >= EVERY_S and self.done < self.total:
             self.shown_s = now_s
+            spent_s = now_s - self.started_s
+            left = f", about {spent_s * (self.total - self.done) / self.done:.0f} s left" if self.done else ""
             about = f" ({self.note})" if self.note else ""
-            complain(
-                "note", f"{self.description}: {self.done} of {self.total} in {now_s - self.started_s:.0f} s{about}"
-            )
+            complain("note", f"{self.description}: {self.done} of {self.total} in {spent_s:.0f} s{left}{about}")
 
 
 class Lines(Progress):
