@@ -38,7 +38,7 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, monkeypatch)
         lines.note("loss 1.25")
         advance(1)
         advance(4)
-    said = ["3 of 9 in 10 s", "5 of 9 in 20 s (loss 1.25)"]
+    said = ["3 of 9 in 10 s, about 20 s left", "5 of 9 in 20 s, about 16 s left (loss 1.25)"]
     assert capsys.readouterr().err.splitlines() == [f"note: locating objects: {words}" for words in said]
 
 
