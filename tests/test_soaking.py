@@ -37,7 +37,8 @@ def test_leaked_memory_and_open_files_are_detected(tmp_path, monkeypatch):
 
     found = soak.soak("leaks", 60, leak())
     assert found.growth > soak.MOST_GROWTH
-    assert found.end.files - found.warm.files == 54, "files opened in the last nine tenths of the run"
+    opened = found.end.files - found.warm.files
+    assert 50 <= opened <= 58, "about 54 in the last nine tenths of the run: other code may close a file meanwhile"
     assert found.changed == 30
 
 
