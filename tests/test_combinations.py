@@ -126,8 +126,7 @@ def make_smaller(row: Mapping[str, str], patch: pytest.MonkeyPatch) -> None:
     coarser = {FACE: {"spacing_mm": 3.0}, HOPF: {"spacing_mm": 3.5}}
     if row["renderer"] == "pyrender":  # it draws each pose separately
         coarser[HOPF]["spacing_mm"] = 5.0
-    learning = {"queries": 128} if row["grid"] == "hopf" else {"epochs": 1, "queries": 64}  # all rotations need more
-    for key, options in {**coarser, MOCO: learning}.items():
+    for key, options in {**coarser, MOCO: {"queries": 128}}.items():
         patch.setitem(bench.SMALL, key, {**bench.SMALL[key], **options})
     if row["encoder"] == "moco":
         patch.setattr("tactile_loc.plugins.encoders.moco.training.VALIDATION_TOUCHES", 32)
