@@ -91,7 +91,10 @@ def require_kept(one: Refined) -> None:
         return one.measure_m(one.undo(mend)) <= TOLERANCE_PX * pitch_m
 
     moved_px = one.measure_m(one.T) / pitch_m
-    often = "poses are rounded, or the candidate's contact is not cut like that of the touch"
+    often = (
+        "its measure of fit is not best at the true pose, poses are rounded, or the candidate's contact is not cut "
+        "like that of the touch"
+    )
     require(
         moved_px <= TOLERANCE_PX,
         f"the true pose must stay; it moved by {moved_px:.2g} pixels",
@@ -113,7 +116,7 @@ def require_related(plain: Refined, other: Refined, back: Callable[[Poses], Pose
     apart = apart_px(plain.T, other.T)
     require(
         apart <= TOLERANCE_PX,
-        f"{sentence}; the answers are {apart:.2g} pixels apart, allowed {TOLERANCE_PX:g}",
+        f"{sentence}; the answers are {apart:.3g} pixels apart, allowed {TOLERANCE_PX:g}",
         lambda: _name_mistake({**WRONG_POSES, **WRONG_MOTIONS}, explains, often),
     )
 
@@ -145,7 +148,7 @@ def require_same(plain: Refined, again: Refined, other: RefinedPose, sentence: s
     apart_px, noise_px = (measure_m(plain.problem, plain.T, T) / pitch_m for T in (other.T_sensor_object, again.T))
     require(
         apart_px <= tolerance_px,
-        f"{sentence}; the answers are {apart_px:.2g} pixels apart, allowed {tolerance_px:g}",
+        f"{sentence}; the answers are {apart_px:.3g} pixels apart, allowed {tolerance_px:g}",
         lambda: name_cause({"the same candidate gives another pose each time": lambda: noise_px > tolerance_px}),
     )
 

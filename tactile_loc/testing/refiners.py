@@ -83,8 +83,8 @@ def check_quarter_turn(refiner: Refiner) -> None:
     turn = make_transform(rotation_about([0, 0, 1], np.pi / 2), np.zeros(3))
     sentence = "a rotated sensor must give the rotated answer"
     often = (
-        "voxels, steps or limits of distances are too large, the outline's walls are in only one of both clouds, "
-        "or x and y are scaled differently"
+        "the search stops before it converges, voxels, steps or limits of distances are too large, the outline's "
+        "walls are in only one of both clouds, or x and y are scaled differently"
     )
     for problem in _list_problems():
         rotated = replace_depth(problem.touch, np.ascontiguousarray(np.rot90(problem.touch.contact_shape.depth_m, -1)))
