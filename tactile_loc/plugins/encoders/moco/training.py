@@ -268,12 +268,12 @@ class Trainer:
 
     def _key_shapes(self, press_m: float) -> Iterable[torch.Tensor]:
         """Return the keys' contact depths (S, H, W), metres, in shards on the device. A GPU keeps them if they fit."""
-        problem, height_width = self.problem, self.problem.geometry.shape
+        problem = self.problem
         if press_m in self.kept_shapes:
             return self.kept_shapes[press_m]
         shapes = (torch.from_numpy(shard).to(self.device) for shard in problem.clean_keys(press_m))
         if self.device.type == "cuda":
-            needed = 4 * math.prod(height_width) * len(problem) * len(problem.key_presses_m)
+            needed = 4 * math.prod(problem.geometry.shape) * len(problem) * len(problem.key_presses_m)
             if needed < torch.cuda.mem_get_info(self.device)[0] / 4 or self.kept_shapes:
                 return self.kept_shapes.setdefault(press_m, list(shapes))
         return shapes
