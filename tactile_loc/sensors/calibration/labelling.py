@@ -21,7 +21,7 @@ from tactile_loc.store.files import write_atomically
 
 SAME_SCALE = 1e-6
 SHALLOWEST_MM = 0.05  # least depth of the deepest press; a smaller depth shows that the ball's radius is wrong
-UNTOUCHED = "untouched-gel.png"  # the composed image of the untouched gel
+UNTOUCHED = "untouched-gel.png"  # the composed or corrected image of the untouched gel
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +46,8 @@ class LabelledFolder:
         untouched = len(found.untouched_names)
         composed = "none of the untouched gel, so its image was composed from others"
         gel = f"{untouched} of the untouched gel" if untouched else composed
+        if found.drift is not None:
+            gel += f" ({found.untouched_names[0]}; since then {found.drift.describe()}; corrected in {UNTOUCHED})"
         dropped = [f"  not used: {press.name}: {press.dropped}" for press in found.presses if press.dropped]
         depths = f"press depths, estimated from the circles: {least_mm:.2f} to {most_mm:.2f} mm"
         return [f"images: {len(found.used)} with a ball, {gel}", *dropped, f"{depths}; check that they are plausible"]
@@ -145,9 +147,9 @@ def _estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: f
 
 
 def _write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> None:
-    """Write `presses.csv` with the used presses. If no image shows the untouched gel, write the composed image, too."""
+    """Write `presses.csv` with the used presses. Write a composed or corrected untouched gel, too."""
     names = list(found.untouched_names)
-    if not names:
+    if not names or found.drift is not None:
         write_atomically(folder / UNTOUCHED, lambda path: write_image(path, found.untouched))
         names = [UNTOUCHED]
     rows: list[tuple[str, tuple[float, float, float] | None]] = [(name, None) for name in names]
