@@ -40,7 +40,7 @@ SETTLED = 20  # iterations of the solver
 
 def calibrate(balls: Path, out: Path) -> Calibration:
     """Run `tactile-loc calibrate` on the balls, and return the calibrated sensor."""
-    words = ["calibrate", balls, "--format", "circles", "--ball-radius", BALL_MM, "--mm-per-px", MM_PER_PX]
+    words = ["calibrate", balls, "--ball-radius", BALL_MM, "--mm-per-px", MM_PER_PX]
     command = [sys.executable, "-m", "tactile_loc_cli.main", *map(str, words), "--out", str(out)]
     subprocess.run(command, check=True, capture_output=True)
     return read_calibration(out)

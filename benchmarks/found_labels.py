@@ -39,7 +39,7 @@ def find(presses: PressFolder, name: str) -> FoundPresses:
     """Find the balls in a set's images, including the image of the untouched gel if there is one."""
     frames = [PressImage(row.image.name, image) for row, image in zip(presses.rows, presses.images, strict=True)]
     gel = [] if name == "FOTS" else [PressImage("untouched", presses.background)]
-    return find_presses([*frames, *gel], SETS[name][2] / SETS[name][3])
+    return find_presses([*frames, *gel], SETS[name][1] / SETS[name][2])
 
 
 def list_circles(presses: PressFolder) -> Array:
@@ -81,7 +81,7 @@ def compare(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str,
     found = find(presses, name)
     seconds = (time.perf_counter() - start) / len(presses)
     used = {press.name: press.circle for press in found.used}
-    largest = STEEPEST * SETS[name][2] / SETS[name][3] - 0.01
+    largest = STEEPEST * SETS[name][1] / SETS[name][2] - 0.01
     by_hand = list_circles(presses)
     ours = np.full_like(by_hand, np.nan)
     for number, row in enumerate(presses.rows):

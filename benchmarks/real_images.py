@@ -28,19 +28,19 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import load_image
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.circles import Circle, compare_colours, find_imprint, find_rim
+from tactile_loc.sensors.calibration.layouts import convert_presses
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome, calibrate
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
-from tactile_loc.sensors.calibration.public_sets import convert_presses
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.reading import Health, measure_health, measure_press_m
 from tactile_loc.store.store import StageStore
 
-# folder or file, format, ball radius and pixel size in mm, image size
+# folder or file, ball radius and pixel size in mm, image size
 SETS = {
-    "gelslim": ("gelslim_balls", "circles", 2.92, 0.059259, (320, 320)),
-    "GelSight Mini": ("gelsight_mini_balls", "gs_sdk", 9.47 / 2, 0.0634, (320, 240)),
-    "160 x 120": ("gelsight_balls_160x120/dataPack_small.npz", "taxim", 2.0, 0.1245, (160, 120)),
-    "FOTS": ("fots_balls", "fots", 4.7 / 2, 1 / 19.58, (240, 320)),
+    "gelslim": ("gelslim_balls", 2.92, 0.059259, (320, 320)),
+    "GelSight Mini": ("gelsight_mini_balls", 9.47 / 2, 0.0634, (320, 240)),
+    "160 x 120": ("gelsight_balls_160x120/dataPack_small.npz", 2.0, 0.1245, (160, 120)),
+    "FOTS": ("fots_balls", 4.7 / 2, 1 / 19.58, (240, 320)),
 }
 PRESSES_MM = ("0.25", "0.5", "0.75", "1.0")
 SMALL_SPHERE_MM = 2.92
@@ -53,8 +53,8 @@ GRID_MM = 1.6  # gives a bank of about 13 000 poses with 1600 cells; half the sp
 
 def read(name: str, data: Path, folder: Path) -> PressFolder:
     """Convert a public set into a folder of presses, and read it."""
-    source, format, ball_radius_mm, mm_per_px, (width, height) = SETS[name]
-    convert_presses(data / source, folder, format, ball_radius_mm, mm_per_px)
+    source, ball_radius_mm, mm_per_px, (width, height) = SETS[name]
+    convert_presses(data / source, folder, ball_radius_mm, mm_per_px)
     scale = 1e3 / mm_per_px
     geometry = SensorGeometry(
         "orthographic", width, height, scale, scale, width / 2, height / 2, standoff_m=0.01, max_depth_m=1.5e-3

@@ -100,10 +100,10 @@ if TYPE_CHECKING:
     from tactile_loc.reports.sweep_figures import write_sweep as write_sweep
     from tactile_loc.sensors.calibration.labelling import LabelledFolder as LabelledFolder
     from tactile_loc.sensors.calibration.labelling import label_presses as label_presses
+    from tactile_loc.sensors.calibration.layouts import convert_presses as convert_presses
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome as CalibrationOutcome
     from tactile_loc.sensors.calibration.outcome import calibrate_folder as calibrate_folder
     from tactile_loc.sensors.calibration.press_table import list_named_files as list_named_files
-    from tactile_loc.sensors.calibration.public_sets import convert_presses as convert_presses
     from tactile_loc.sensors.reading.estimator import EstimatorRecipe as EstimatorRecipe
     from tactile_loc.simulate.touch_simulation import press_touch as press_touch
     from tactile_loc.slots.code import hash_code as hash_code

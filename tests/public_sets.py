@@ -54,4 +54,32 @@ def write_circles(source: Path, images: np.ndarray, background: np.ndarray) -> P
     return source
 
 
-PUBLIC_SETS = {"gs_sdk": write_gs_sdk, "taxim": write_taxim, "fots": write_fots, "circles": write_circles}
+def write_py3dcal(source: Path, images: np.ndarray, background: np.ndarray) -> Path:
+    """A set whose press depths give the circles' radii: a ball of 3 mm, 4 px/mm."""
+    root = source / "sensor_calibration_data"
+    for name in ("annotations", "blank_images", "probe_images"):
+        (root / name).mkdir(parents=True)
+    write_image(root / "blank_images" / "blank.png", background)
+    probed, annotated = (
+        ["img_name,x_mm,y_mm,penetration_depth_mm"],
+        ["img_name,x_mm,y_mm,penetration_depth_mm,x_px,y_px"],
+    )
+    for number, (image, (x, y, radius)) in enumerate(zip(images, CIRCLES, strict=True)):
+        name = f"{number}_X{number}.0Y2.0Z1.0.png"
+        write_image(root / "probe_images" / name, image)
+        depth = 3 - np.sqrt(max(9 - (radius / 4) ** 2, 0))
+        probed.append(f"{name},{number},2,{depth}")
+        annotated.append(f"{name},{number},2,{depth},{x},{y}")
+    (root / "annotations" / "probe_data.csv").write_text("\n".join(probed) + "\n")
+    (root / "annotations" / "annotations.csv").write_text("\n".join(annotated) + "\n")
+    (root / "annotations" / "metadata.json").write_text('{"px_per_mm": 4.0, "probe_radius_mm": 3.0}')
+    return source
+
+
+PUBLIC_SETS = {  # with circles
+    "gs_sdk": write_gs_sdk,
+    "taxim": write_taxim,
+    "fots": write_fots,
+    "circles": write_circles,
+    "py3dcal": write_py3dcal,
+}

@@ -32,8 +32,8 @@ from tactile_loc.planning.next_touch import choose_next_touch
 from tactile_loc.planning.next_touch_files import write_next_touch
 from tactile_loc.reports import write_report
 from tactile_loc.sensors.calibration.frames import read_frames
+from tactile_loc.sensors.calibration.layouts import convert_presses
 from tactile_loc.sensors.calibration.presses import read_presses
-from tactile_loc.sensors.calibration.public_sets import convert_presses
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 from tactile_loc.tracking.pose_modes import PoseModes
@@ -236,7 +236,7 @@ _ALL = (
            "calibrate FOLDER --sensor FOLDER/sensor.toml --out FOLDER/out -o steps=5",
            ("presses.csv", "sensor.toml", "0000.png", "part.stl")),
     Reader("public-sets", corpora.public_sets,
-           lambda folder: _read_every(partial(convert_presses, folder / name, folder / "out" / kind, kind, 4.0, 0.1)
+           lambda folder: _read_every(partial(convert_presses, folder / name, folder / "out" / kind, 4.0, 0.1)
                                  for kind, name in SETS.items())),
     Reader("calibration", corpora.calibration, _calibration, f"{RUN} --sensor FOLDER/sensor --touch FOLDER/photo.png"),
     Reader("weights", corpora.weights, _weights),

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.sensors.calibration.circles import compare_colours
 from tactile_loc.sensors.calibration.folder import PICTURE
-from tactile_loc.sensors.calibration.frames import SHEET
 from tactile_loc.sensors.calibration.labels import LabelledPresses
+from tactile_loc.sensors.calibration.layouts import SHEET
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
 from tactile_loc.sensors.calibration.unlabelled import FoundPress, FoundPresses
 from tactile_loc.sensors.reading.estimator import GelEstimator

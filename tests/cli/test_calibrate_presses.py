@@ -122,13 +122,13 @@ def test_a_public_set_needs_no_table(cli, presses):
     (presses / "labels.txt").write_text("\n".join(lines))
     (presses / "presses.csv").unlink()
     (presses / "sensor.toml").unlink()
-    words = ["--format", "circles", "--ball-radius", 3, "--mm-per-px", 0.2]
+    words = ["--ball-radius", 3, "--mm-per-px", 0.2]
     succeed(cli("calibrate", presses, *words, *FEW, "--out", "mine"))
     found = read_calibration(Path("mine")).geometry
     assert found.shape == (80, 80)
     assert found.view == pytest.approx(BALLS.geometry.view)
-    assert_refused(cli("calibrate", presses, *words[:2]), "--ball-radius", "--mm-per-px")
-    assert_refused(cli("calibrate", presses, *words[:4], "--mm-per-px", -1), "positive")
+    assert_refused(cli("calibrate", presses), "--ball-radius", "--mm-per-px")
+    assert_refused(cli("calibrate", presses, *words[:2], "--mm-per-px", -1), "positive")
 
 
 def test_the_median_of_the_presses_may_be_the_background(cli, presses):

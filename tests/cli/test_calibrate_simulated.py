@@ -81,7 +81,6 @@ def test_a_built_in_sensor_also_reads_full_size_camera_images(cli):
 
 def test_exactly_one_source_of_presses_is_required(cli, calibrate):
     assert_refused(calibrate("somewhere"), "--simulated", "FOLDER")
-    assert_refused(calibrate("--format", "taxim"), "--format")
     assert_refused(calibrate("--image-size", 20, 20), "--image-size")
     assert_refused(cli("calibrate"), "FOLDER", "--simulated")
     assert_refused(cli("calibrate", "somewhere", "--optics", "digit"), "--optics", "--simulated")

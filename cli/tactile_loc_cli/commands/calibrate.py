@@ -24,7 +24,6 @@ DEFAULT_SENSOR = "gelslim"
 
 
 Estimator = StrEnum("Estimator", "PHOTOMETRIC CNN")
-Format = StrEnum("Format", "GS_SDK TAXIM FOTS CIRCLES")  # of public calibration sets
 Background = StrEnum("Background", "TABLE MEDIAN")  # the source of the untouched gel's image
 
 Folder = Annotated[
@@ -48,16 +47,13 @@ EstimatorName = Annotated[
 Untouched = Annotated[
     Background, declare("--background", "Image of the untouched gel: that of the table, or the median of all presses.")
 ]
-PublicFormat = Annotated[Format | None, declare("--format", "FOLDER is a public calibration set of this format.")]
 BallRadius = Annotated[
     float | None,
-    declare("--ball-radius MM", "Radius of the ball in mm. Needed if there is no presses.csv, and with --format."),
+    declare("--ball-radius MM", "Radius of the ball in mm. Needed if neither presses.csv nor the set states it."),
 ]
 PixelSize = Annotated[
     float | None,
-    declare(
-        "--mm-per-px MM", "Size of a pixel on the gel in mm. Needed if there is no sensor.toml, and with --format."
-    ),
+    declare("--mm-per-px MM", "Size of a pixel on the gel in mm. Needed if neither sensor.toml nor the set states it."),
 ]
 ImageSize = Annotated[
     tuple[int, int] | None,
@@ -87,7 +83,6 @@ def calibrate(
     sensor: Geometry = None,
     estimator: EstimatorName = Estimator.PHOTOMETRIC,
     background: Untouched = Background.TABLE,
-    format: PublicFormat = None,
     ball_radius: BallRadius = None,
     mm_per_px: PixelSize = None,
     image_size: ImageSize = None,
@@ -115,15 +110,15 @@ def calibrate(
     require_writable(out)
     require_replaceable(out.absolute())
     recipe = EstimatorRecipe(estimator, _parse_options(option or []), seed)
-    of_folder = format is not None or background is not Background.TABLE or image_size is not None or curved
+    of_folder = background is not Background.TABLE or image_size is not None or curved
     _require_one_source(simulated, folder, of_folder, optics is not None or presses is not None)
     if folder is None:
         return _calibrate_simulated(sensor, optics, presses, recipe, out, store)
     labels: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as temporary:
-        if format is not None:
-            folder = _convert(folder, Path(temporary), format, ball_radius, mm_per_px)
-            file = folder / "sensor.toml" if sensor is None else Path(sensor)
+        converted = _convert(folder, Path(temporary), ball_radius, mm_per_px)
+        if converted is not None:
+            folder, file = converted, converted / "sensor.toml" if sensor is None else Path(sensor)
         else:
             labelled = label_presses(folder, sensor, ball_radius, mm_per_px, make_progress())
             labels = _report_labels(labelled, ball_radius)
@@ -136,21 +131,28 @@ def calibrate(
 def _require_one_source(simulated: bool, folder: Path | None, of_folder: bool, of_simulation: bool) -> None:
     """Raise ConfigError unless presses come from one source, and all given options are for it."""
     if simulated and (folder is not None or of_folder):
-        raise ConfigError(
-            "--simulated needs no images; leave out FOLDER, --format, --background, --image-size and --curved"
-        )
+        raise ConfigError("--simulated needs no images; leave out FOLDER, --background, --image-size and --curved")
     if not simulated and folder is None:
         raise ConfigError("no presses are given; give FOLDER with images of presses, or --simulated")
     if not simulated and of_simulation:
         raise ConfigError("--optics and --presses need --simulated; add it, or leave them out")
 
 
-def _convert(source: Path, folder: Path, format: Format, ball_radius: float | None, mm_per_px: float | None) -> Path:
-    from tactile_loc.sensors.calibration.public_sets import convert_presses
+def _convert(source: Path, folder: Path, ball_radius: float | None, mm_per_px: float | None) -> Path | None:
+    """Name the layout of the photos. If another tool has labelled them, convert them, and return the new folder."""
+    from tactile_loc.io.streams.videos import VIDEO_SUFFIXES
+    from tactile_loc.sensors.calibration.layouts import convert_presses, recognise_set
+    from tactile_loc.sensors.calibration.press_table import TABLE
+    from tactile_loc.store.files import list_files
 
-    if not (ball_radius and ball_radius > 0 and mm_per_px and mm_per_px > 0):
-        raise ConfigError(f"--format {format} needs --ball-radius and --mm-per-px, positive numbers in mm")
-    return convert_presses(source, folder, format, ball_radius, mm_per_px).parent
+    if source.is_dir():
+        if (source / TABLE).exists() or list_files(source, VIDEO_SUFFIXES):
+            return None
+    elif source.suffix.lower() != ".npz":
+        return None
+    found = recognise_set(source)
+    say(found.describe())
+    return convert_presses(source, folder, ball_radius, mm_per_px).parent if found.circles else None
 
 
 def _parse_options(words: list[str]) -> dict[str, Any]:

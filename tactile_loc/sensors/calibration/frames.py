@@ -7,7 +7,6 @@ so that a table can name them.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,10 +18,10 @@ from tactile_loc.core.runtime.formatting import is_unicode
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo, write_image
 from tactile_loc.io.streams.videos import VIDEO_SUFFIXES, read_video
 from tactile_loc.sensors.calibration.labels import Image
+from tactile_loc.sensors.calibration.layouts import SHEET, recognise_set
 from tactile_loc.sensors.reading.reading import reduce_image
 from tactile_loc.store.files import list_files, replace_folder, shorten_name
 
-SHEET = "labels.png"
 THUMBNAIL_PX = 64  # longer side
 QUIET = 0.1  # share of a video's frames, nearest to the median frame, that is taken as the untouched gel
 TOUCHED = 0.3  # change above which the gel is touched, between the smallest change (0) and the largest (1)
@@ -42,16 +41,15 @@ class PressImage:
 def read_frames(source: Path) -> tuple[Path, list[PressImage]]:
     """Return the folder of a source's pictures, and the pictures as frames in order.
 
-    The source is a folder of pictures and videos, or a video. A video's chosen frames are written to the folder
-    NAME-frames beside the video. Raises CalibrationError when there are no pictures, when a picture cannot be read, or
-    when pictures differ in size.
+    The source is a folder of pictures and videos, a video, or a set of pictures that `recognise_set` finds. A video's
+    chosen frames are written to the folder NAME-frames beside the video. Raises CalibrationError when there are no
+    pictures, when a picture cannot be read, or when pictures differ in size.
     """
     if not os.path.exists(source):
         raise CalibrationError(f"there is no {source}; give a folder with images of presses, or a video")
     folder = take_frames(source) if os.path.isfile(source) else source
-    parts = [folder, *(take_frames(video) for video in _list_files(folder, VIDEO_SUFFIXES))]
     frames = []
-    for path in (path for part in parts for path in _list_files(part, IMAGE_SUFFIXES)):
+    for path in _list_pictures(folder):
         try:
             frames.append(PressImage(path.relative_to(folder).as_posix(), read_photo(path)))
         except TouchError as error:
@@ -68,13 +66,19 @@ def read_frames(source: Path) -> tuple[Path, list[PressImage]]:
 
 
 def list_pictures(folder: Path) -> set[str]:
-    """Return the names of the pictures in a folder, except the sheet of labels."""
-    return {path.name for path in _list_files(folder, IMAGE_SUFFIXES)}
+    """Return the paths of the pictures in a folder, relative to it, except the sheet of labels."""
+    return {path.relative_to(folder).as_posix() for path in _list_pictures(folder)}
 
 
-def _list_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    found = [path for path in list_files(folder, suffixes) if path.name != SHEET]
-    for path in found:
+def _list_pictures(folder: Path) -> list[Path]:
+    """Return the pictures of a folder, and the chosen frames of its videos."""
+    videos = list_files(folder, VIDEO_SUFFIXES)
+    if videos:
+        parts = [folder, *map(take_frames, videos)]
+        found = [path for part in parts for path in list_files(part, IMAGE_SUFFIXES) if path.name != SHEET]
+    else:
+        found = [photo for photo in recognise_set(folder).photos.values() if isinstance(photo, Path)]
+    for path in [*videos, *found]:
         if not is_unicode(path.name):
             raise CalibrationError(f"the name of {path} is not Unicode, so no table can list it; rename the file")
     return found

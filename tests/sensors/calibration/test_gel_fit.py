@@ -110,13 +110,13 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fi
     monkeypatch.setattr(gel_fit, "PIXELS", pixels)
     from PIL import Image
 
+    from tactile_loc.sensors.calibration.layouts import convert_presses
     from tactile_loc.sensors.calibration.outcome import calibrate
     from tactile_loc.sensors.calibration.presses import choose_size_px, read_presses
-    from tactile_loc.sensors.calibration.public_sets import convert_presses
     from tactile_loc.sensors.reading.reading import read_gel, reduce_image
 
     balls, shapes = shared_data / "tactile/gelslim_balls", shared_data / "tactile/gelslim_shapes"
-    convert_presses(balls, tmp_path / "presses", "circles", 2.92, SET_MM_PX)
+    convert_presses(balls, tmp_path / "presses", 2.92, SET_MM_PX)
     scale = 1e3 / SET_MM_PX
     camera = SensorGeometry("orthographic", 320, 320, scale, scale, 160, 160, standoff_m=0.01, max_depth_m=1.5e-3)
     presses = read_presses(tmp_path / "presses", camera, size_px=choose_size_px(camera)).measure_gel()

@@ -44,7 +44,7 @@ class GelslimShapes(RecordedSource):
     def prepare_sensor(self, folder: Path) -> Mapping[str, Any]:
         """Return the table of the sensor that was calibrated on the real presses of a ball."""
         presses = folder / "presses"
-        convert_presses(self._find(BALLS), presses, "circles", BALL_MM, MM_PER_PX)
+        convert_presses(self._find(BALLS), presses, BALL_MM, MM_PER_PX)
         return {"name": "calibrated", "path": str(calibrate_sensor(presses, make_camera(), folder / "sensor"))}
 
     def find_objects(self) -> Mapping[str, ObjectModel]:
