@@ -67,4 +67,4 @@ def open_asked(asked: str, **settings: Any) -> Localizer:
 
 def make_source(obj: ObjectModel, geometry: SensorGeometry, **errors: Any) -> RobotTouches:
     """Return touches that are drawn by ray casting, which no localizer uses. `errors` are those of RobotTouches."""
-    return RobotTouches(obj, geometry, registry().create("renderer", "raycast", {}), **errors)
+    return RobotTouches(obj, geometry, registry().create("renderer", "zbuffer", {}), **errors)

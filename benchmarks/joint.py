@@ -32,7 +32,7 @@ def measure(path: str, arguments: argparse.Namespace) -> str:
     """Return one row of the table."""
     obj = load_asked(path)
     geometry = registry().create("sensor", arguments.sensor, {}).geometry
-    scene = Scene(obj, geometry, registry().create("renderer", "raycast", {}))
+    scene = Scene(obj, geometry, registry().create("renderer", "zbuffer", {}))
     refiner = registry().create("refiner", "joint", {})
     source, metric = RobotTouches(obj, geometry, scene.renderer, **LEVELS[arguments.level]), PoseMetric(obj)
     ms, errors_mm = [], []

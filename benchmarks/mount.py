@@ -59,7 +59,7 @@ def simulate(
     localizer: Localizer, count: int, level: str, rng: np.random.Generator
 ) -> tuple[FlangeTouches, np.ndarray]:
     """Return touches of a part at rest, and the true mount."""
-    scene = Scene(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+    scene = Scene(localizer.object, localizer.scene.geometry, registry().create("renderer", "zbuffer", {}))
     touches = simulate_touches(localizer.sampler, scene, count, rng, None, NOISE[level])
     T_flange_sensor, T_base_object = draw_pose(MOUNT_STD_M, rng), draw_pose(BASE_STD_M, rng)
     T_sensor_object = np.stack([touch.T_sensor_object for touch in touches])

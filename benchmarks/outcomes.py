@@ -180,7 +180,7 @@ def find_outcome(errors_m: Float64, limit_m: float) -> int:
 def locate_part(part: tuple[str, str, str], sensors: Sequence[str], arguments: argparse.Namespace) -> list[Row]:
     """Return the rows of all examples of a part, with its file and unit, on some sensors."""
     name, path, units = part
-    raycast, rows = registry().create("renderer", "raycast", {}), []
+    renderer, rows = registry().create("renderer", "zbuffer", {}), []
     end = time.perf_counter() + arguments.seconds
     with tempfile.TemporaryDirectory() as folder:
         store = StageStore(Path(folder))
@@ -189,7 +189,7 @@ def locate_part(part: tuple[str, str, str], sensors: Sequence[str], arguments: a
                 settings = {"name": sensor, "image_size_px": SENSORS[sensor], **(LAYER if gel == "layer" else {})}
                 localizer = Localizer.create(path, units=units or "auto", store=store, sensor=settings)
                 rng = np.random.default_rng([zlib.crc32(name.encode()), s, g, arguments.seed])
-                source, kind = make_source(localizer, raycast, arguments), find_kind(localizer.object)
+                source, kind = make_source(localizer, renderer, arguments), find_kind(localizer.object)
                 field = DistanceField(localizer.object)
                 for number in range(arguments.examples):
                     if time.perf_counter() > end:
@@ -213,12 +213,12 @@ def locate_part(part: tuple[str, str, str], sensors: Sequence[str], arguments: a
     return rows
 
 
-def make_source(localizer: Localizer, raycast: Any, arguments: argparse.Namespace) -> RobotTouches:
+def make_source(localizer: Localizer, renderer: Any, arguments: argparse.Namespace) -> RobotTouches:
     """Return the source of a localizer's touches."""
     geometry = localizer.scene.geometry
     if arguments.solver == "contact" and geometry.gel.is_elastic:
-        return ContactTouches(localizer.object, geometry, raycast)
-    return RobotTouches(localizer.object, geometry, raycast)
+        return ContactTouches(localizer.object, geometry, renderer)
+    return RobotTouches(localizer.object, geometry, renderer)
 
 
 class ContactTouches(RobotTouches):

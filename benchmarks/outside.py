@@ -220,7 +220,7 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
     alter, noise = CASES[case]
     obj = localizers[1].object
     altered = dataclasses.replace(obj, mesh=alter(obj.mesh, np.random.default_rng(arguments.seed)))
-    raycast = registry().create("renderer", "raycast", {})
+    renderer = registry().create("renderer", "zbuffer", {})
     around = make_source(altered, localizers[3].scene.geometry, press=PRESS, noise=noise)
     rows = []
     for touches, localizer in localizers.items():
@@ -228,7 +228,7 @@ def measure(localizers: dict[int, Localizer], case: str, arguments: argparse.Nam
         for number in range(arguments.examples):
             rng = np.random.default_rng([arguments.seed, number])
             if touches == 1:
-                taken = [touch_on_face(localizer, altered, raycast, noise, rng)]
+                taken = [touch_on_face(localizer, altered, renderer, noise, rng)]
             else:
                 taken, _ = around.draw_example(touches, rng)
             try:

@@ -120,7 +120,7 @@ def main() -> None:
         "error, mm (90 %) | within 1 mm | shape within 1 mm | NEES |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|")
-    renderer = registry().create("renderer", "raycast", {})
+    renderer = registry().create("renderer", "zbuffer", {})
     for name in arguments.objects:
         localizer = Localizer.create(name, sensor=arguments.sensor, store=StageStore(arguments.store))
         localizer.localize(localizer.simulate(1)[0])  # builds the model and compiles

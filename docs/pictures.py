@@ -171,7 +171,7 @@ def _draw_posterior(axes: Any, posterior: Any, T_true: NDArray[np.float64]) -> N
 
 def draw_slide(localizer: Localizer) -> Figure:
     """Draw the tracking of a slide over the object, with a lift in the middle."""
-    renderer = registry().create("renderer", "raycast", {})
+    renderer = registry().create("renderer", "zbuffer", {})
     source = RobotTouches(
         localizer.object, localizer.sensor.geometry, renderer, noise=NOISE["mild"], sensor_std_m=1e-4,
         sensor_std_rad=np.radians(0.1),

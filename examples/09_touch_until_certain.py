@@ -22,7 +22,7 @@ picture = parser.parse_args().picture
 
 localizer, rng = Localizer.create("hook", sensor="gelsight-mini"), np.random.default_rng(1)
 geometry = localizer.sensor.geometry
-robot = RobotTouches(localizer.object, geometry, registry().create("renderer", "raycast", {}))  # instead of a robot
+robot = RobotTouches(localizer.object, geometry, registry().create("renderer", "zbuffer", {}))  # instead of a robot
 approaches = draw_approaches(localizer.object, geometry, 60, 0.6, rng)  # the poses that your robot can reach
 touches, _ = robot.draw_example(1, rng)
 

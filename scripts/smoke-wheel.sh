@@ -71,15 +71,20 @@ needs() { # an extra, and a command that needs it
     refuses "'tactile-loc[$extra]'" "$@"
 }
 annex() { refuses "./plugins_contrib/tactile-loc-$1" "$1"; } # a command of a package in plugins_contrib
-touch empty.mcap empty.mp4 empty.step empty.stl
+touch empty.3mf empty.mcap empty.mp4 empty.step empty.stl
 annex app
 annex benchmark
 annex library
 needs camera live --camera 0 --object hook --port 0
 needs clearance next-touch result --around 3 --finger 32x28x24mm --out refused
+needs faiss run --matcher faiss --out refused
+needs icp run --refiner icp --out refused
 needs kiss run --refiner kiss-icp --out refused
 needs learned run --encoder moco --out refused
+needs meshes run --object empty.3mf --units mm --touch touch.npz --out refused
 needs recordings replay empty.mcap --image-topic /gel/image --object hook
+needs render run --renderer raycast --out refused
+needs render run --renderer pyrender --out refused
 needs step run --object empty.step --units mm --touch touch.npz --out refused
 needs sweep sweep --object hook --out refused
 needs video calibrate empty.mp4 --ball-radius 3 --mm-per-px 0.06 --out refused

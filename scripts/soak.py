@@ -137,7 +137,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         settings = {"sensor": "gelsight-mini", "grid": {"name": "face", "spacing_mm": 4.0}, "temperature": 0.05}
         localizer = Localizer.create(given.object, store=StageStore(Path(folder)), **settings)
-        renderer = registry().create("renderer", "raycast", {})
+        renderer = registry().create("renderer", "zbuffer", {})
         source = RobotTouches(localizer.object, localizer.sensor.geometry, renderer, noise=NOISE["mild"])
         if given.localisations:
             touches = localizer.simulate(given.touches, seed=given.seed)

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Checks what pip cannot install: the shared libraries that open3d and pyrender load, and Python's venv module. On
+# Checks what pip cannot install: the shared libraries that open3d and pyrender (the extra `render`) load, and Python's venv module. On
 # Debian and Ubuntu, it installs the missing packages if it may; elsewhere it lists them.
 #
 # With --tests, it installs the browser that some tests need. Without a browser these tests are skipped, so a failure

@@ -22,8 +22,8 @@ def draw_examples(
     localizer: Localizer, seed: int, count: int, touches: int = 3, noise: TouchNoise = NONE
 ) -> list[list[Touch]]:
     """Return touches of an object at rest, pressed from anywhere and rendered by ray casting, for each example."""
-    raycast = registry().create("renderer", "raycast", {})
-    source = RobotTouches(localizer.object, localizer.scene.geometry, raycast, noise=noise)
+    renderer = registry().create("renderer", "zbuffer", {})
+    source = RobotTouches(localizer.object, localizer.scene.geometry, renderer, noise=noise)
     return [source.draw_example(touches, np.random.default_rng([seed, k]))[0] for k in range(count)]
 
 

@@ -17,6 +17,8 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 from tactile_loc_cli import ANNEXES
 
+from tactile_loc.plugins import BUILT_IN
+
 ROOT = Path(__file__).parents[1]
 SCRIPTS = ROOT / "scripts"
 PROJECT = "tactile-loc"
@@ -62,6 +64,20 @@ def test_constraints_pin_every_installed_dependency():
     assert {"numpy", "open3d-cpu", "pytest", "kiwisolver"} <= installed.keys()  # runtime, dev and transitive ones
     pins = constraints()
     assert {name: pins.get(name, "not pinned") for name in installed} == installed
+
+
+def test_the_plain_package_needs_few_packages():
+    needed = installed_closure(PROJECT, frozenset())
+    assert {"numpy", "scipy", "numba", "trimesh"} <= needed.keys()
+    assert not {"open3d-cpu", "open3d", "pyrender", "faiss-cpu", "plotly", "torch", "kiss-icp"} & needed.keys()
+    assert len(needed) <= 40
+
+
+def test_the_extra_for_everything_has_the_extras_of_all_components():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    named = [requires for _, _, _, _, *several in BUILT_IN for requires in several]
+    (everything,) = map(Requirement, extras["all"])
+    assert {extra for text in named for extra in Requirement(text).extras} <= everything.extras <= extras.keys()
 
 
 def test_constraints_are_sorted_exact_pins_with_normalised_names():

@@ -55,7 +55,7 @@ class Gels:
     @classmethod
     def of(cls, localizer: Localizer) -> Gels:
         """Make the gels of a localizer's sensor, drawn by rays."""
-        renderer = registry().create("renderer", "raycast", {})
+        renderer = registry().create("renderer", "zbuffer", {})
         return cls(localizer, RobotTouches(
             localizer.object, localizer.sensor.geometry, renderer, noise=make_noise(NOISE),
             sensor_std_m=ENCODER_STD_M, sensor_std_rad=ENCODER_STD_RAD,

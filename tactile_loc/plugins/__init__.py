@@ -5,7 +5,8 @@ from __future__ import annotations
 from tactile_loc.plugin import ComponentSpec, hookimpl
 from tactile_loc.plugin.helpers import INTERFACE_VERSION
 
-LEARNED, KISS = "tactile-loc[learned]", "tactile-loc[kiss]"
+FAISS, ICP, KISS = "tactile-loc[faiss]", "tactile-loc[icp]", "tactile-loc[kiss]"
+LEARNED, RENDER = "tactile-loc[learned]", "tactile-loc[render]"
 # slot, name, class, summary, and the extra to install
 BUILT_IN = [
     ("sensor", "gelslim", "sensors.presets:GelSlim", "GelSlim with the paper's camera"),
@@ -20,13 +21,14 @@ BUILT_IN = [
         "renderers.heightmap:HeightmapRenderer",
         "one height map for each rotation, shared by all translations; fastest",
     ),
-    ("renderer", "raycast", "renderers.raycast:RaycastRenderer", "exact ray casting (open3d)"),
+    ("renderer", "raycast", "renderers.raycast:RaycastRenderer", "exact ray casting (open3d)", RENDER),
     ("renderer", "zbuffer", "renderers.zbuffer:ZBufferRenderer", "exact, draws each triangle of each pose"),
     (
         "renderer",
         "pyrender",
         "renderers.pyrender.renderer:PyrenderRenderer",
         "OpenGL through EGL, headless, as in the paper",
+        RENDER,
     ),
     ("grid", "face", "grids.face:FaceGrid", "x, y and yaw on one face, with optional small tilts"),
     ("grid", "hopf", "grids.hopf:HopfGrid", "all rotations (Hopf/HEALPix) times the plane"),
@@ -40,7 +42,7 @@ BUILT_IN = [
         LEARNED,
     ),
     ("matcher", "dense", "matchers.dense:DenseMatcher", "exact, one matrix product"),
-    ("matcher", "faiss", "matchers.faiss:FaissMatcher", "faiss: exact (flat) or approximate"),
+    ("matcher", "faiss", "matchers.faiss:FaissMatcher", "faiss: exact (flat) or approximate", FAISS),
     ("refiner", "none", "refiners.none:NoRefiner", "returns the grid pose unchanged"),
     (
         "refiner",
@@ -48,7 +50,7 @@ BUILT_IN = [
         "refiners.joint:JointRefiner",
         "point-to-plane registration of one pose to all touches at once, with a covariance",
     ),
-    ("refiner", "icp", "refiners.icp:IcpRefiner", "point-to-plane ICP (open3d)"),
+    ("refiner", "icp", "refiners.icp:IcpRefiner", "point-to-plane ICP (open3d)", ICP),
     (
         "refiner",
         "filterreg",

@@ -57,10 +57,8 @@ class Page:
 
 def render(page: Page) -> str:
     """Return the page as HTML. Raises ValueError if a number in the page's data is not finite."""
-    from plotly.offline import get_plotlyjs
-
-    drawing = [get_plotlyjs()] if page.scripts else []
-    scripts = [*drawing, *(read_asset(name, page.package) for name in ("page.js", *page.scripts))]
+    drawing = ["plotly.min.js"] if page.scripts else []
+    scripts = [read_asset(name, page.package) for name in (*drawing, "page.js", *page.scripts)]
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     template = load_templates(page.package).get_template("page.html.j2")
     return show_bytes(template.render(page=page, style=read_asset("page.css"), scripts=scripts, hashes=hashes))

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import metadata
 from importlib.metadata import EntryPoint
 from typing import Any, ClassVar
 
@@ -27,6 +28,7 @@ from tactile_loc.core.runtime.errors import (
     MissingLibraryError,
     PluginConflictError,
     PluginLoadError,
+    TactileLocError,
     UnknownPluginError,
     advise_choice,
 )
@@ -264,10 +266,49 @@ class Registry:
         kind: type[Any] = self._classes[found.spec]
         return kind
 
+    def explain_missing(self, offer: Offer) -> str:
+        """Return what a component or a command lacks and how to install it, or "" if its library is installed.
+
+        Only what states a library in `requires` is tried. It is imported only if that library is not installed.
+        """
+        spec = offer.spec
+        if not spec.requires or all(map(_is_installed, _list_requirements(spec.requires))):
+            return ""
+        try:
+            self.load(spec.slot, spec.name) if spec.slot != COMMAND else import_target(offer)
+        except MissingLibraryError as error:
+            return str(error)
+        except TactileLocError:  # the package is broken or of another interface, which is told where it is used
+            return ""
+        return ""
+
     def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
         """Return a component with validated options. Raises ConfigError for unknown or invalid options."""
         kind = self.load(slot, name)
         return kind(validate_options(kind.Options, options or {}, f"the {slot} {name!r}"))
+
+
+def _list_requirements(text: str) -> list[str]:
+    """Return the distributions that words for `pip install` name: with extras, those that the extras add."""
+    from packaging.requirements import Requirement
+
+    found = re.fullmatch(r"(?:\S*/)?([\w.-]+)(?:\[([\w,-]+)\])?.*", text)  # a path in a clone may stand before the name
+    if found is None:
+        return []
+    name, extras = found[1], (found[2] or "").split(",")
+    if extras == [""] or not _is_installed(name):
+        return [name]
+    added = [Requirement(line) for line in metadata.requires(name) or []]
+    chosen = [one for one in added if one.marker and any(one.marker.evaluate({"extra": extra}) for extra in extras)]
+    return [part for one in chosen for part in _list_requirements(str(one).partition(";")[0])]
+
+
+def _is_installed(distribution: str) -> bool:
+    try:
+        metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def import_target(found: Offer) -> Any:

@@ -18,7 +18,7 @@ from tactile_loc.locate.identify import Identification, KnownObject, identify, m
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.probability.null_evidence import NullEvidence
 from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 
 FEW = {"name": "whole", "directions": 300, "turns": 24}
 
@@ -44,9 +44,11 @@ def models(make_object, store) -> list[Localizer]:
 @pytest.fixture(scope="module")
 def touches(models) -> dict[str, list]:
     """Return two touches of each object, from another renderer."""
-    raycast, rng = RaycastRenderer(), np.random.default_rng(3)
+    renderer, rng = ZBufferRenderer(), np.random.default_rng(3)
     return {
-        model.object.name: RobotTouches(model.object, model.scene.geometry, raycast, (0.7, 0.9)).draw_example(2, rng)[0]
+        model.object.name: RobotTouches(model.object, model.scene.geometry, renderer, (0.7, 0.9)).draw_example(2, rng)[
+            0
+        ]
         for model in models
     }
 

@@ -28,7 +28,7 @@ from tactile_loc.planning.hand_eye_calibration import (
     require_motions,
 )
 from tactile_loc.planning.hand_eye_starts import AGREES_M, list_hand_eye_starts
-from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.simulate.touch_simulation import simulate_touches
 
 COUNT = 8
@@ -84,7 +84,7 @@ class Case:
 
     def __init__(self, localizer: Localizer, truth) -> None:
         rng, (self.X, self.Y) = np.random.default_rng(2), truth
-        scene = Scene(localizer.object, localizer.scene.geometry, RaycastRenderer())
+        scene = Scene(localizer.object, localizer.scene.geometry, ZBufferRenderer())
         touches = simulate_touches(localizer.sampler, scene, COUNT, rng, None, NOISE["mild"])
         S = np.stack([touch.T_sensor_object for touch in touches])
         self.localizer, self.seen = localizer, S

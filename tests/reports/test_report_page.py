@@ -30,7 +30,7 @@ def test_a_page_loads_nothing_from_elsewhere_has_a_moderate_size_and_links_with_
     assert str(policy).startswith("default-src 'none'")
     assert "http" not in str(policy)
     assert len(re.findall(r"plotly\.js v\d", html)) == 1
-    assert 4e6 < len(html) < 8e6
+    assert 1.5e6 < len(html) < 5e6
     names = [attributes["id"] for _, attributes in found.elements if "id" in attributes]
     assert len(names) == len(set(names))
     assert {a["href"] for a in found.named("a")} <= {f"#{name}" for name in names}

@@ -83,8 +83,18 @@ def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
         _say_interface(component)
     for f in failures:
         say(f"not loaded: {f['plugin']} of {f['distribution']}: {f['error']}")
+    missing = _find_missing(found, shown)
+    for reason in missing.values():
+        say(f"to install: {reason}")
     commands = [row for row in rows if row["slot"] == COMMAND]
-    return {"components": components, "commands": commands, "conflicts": conflicts, "not_loaded": failures}
+    missed = [{"slot": c.spec.slot, "name": c.spec.name, "reason": reason} for c, reason in missing.items()]
+    found_out = {"conflicts": conflicts, "not_loaded": failures, "not_installed": missed}
+    return {"components": components, "commands": commands, **found_out}
+
+
+def _find_missing(found: Registry, shown: Sequence[Offer]) -> dict[Offer, str]:
+    """Return the components and commands whose library is missing, and how to install it."""
+    return {offer: reason for offer in shown if (reason := found.explain_missing(offer))}
 
 
 def _describe(offer: Offer) -> dict[str, Any]:

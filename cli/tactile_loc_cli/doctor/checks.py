@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -136,8 +137,9 @@ DRIVER_PATTERNS = ("lib/dri/*_dri.so", "lib64/dri/*_dri.so", "lib/*/dri/*_dri.so
 
 
 def check_shared_libraries() -> Iterator[Diagnosis]:
-    """Find missing shared libraries. Nothing is checked on other systems than Linux."""
-    if sys.platform != "linux":
+    """Find missing shared libraries of open3d and pyrender, if one of them is installed. Only Linux is checked."""
+    users = [name for name in ("open3d", "pyrender") if find_spec(name) is not None]
+    if sys.platform != "linux" or not users:
         return
     outcome = attempt("shared-libraries", *PACKAGES)
     if outcome.failure:
@@ -203,21 +205,24 @@ LIBRARIES = (
     _require("scipy"),
     _require("numba", trial="numba"),
     _require("trimesh"),
-    _require("networkx"),
-    _require("rtree"),
-    _require("faiss", "faiss-cpu", "faiss-gpu", serves="the matcher faiss"),
+    _require("fast_simplification", "fast-simplification", serves="results of large meshes"),
     _require("matplotlib"),
     _require("PIL", "pillow"),
     _require("jinja2", serves="reports"),
-    _require("plotly", serves="reports"),
-    _require(
-        "open3d", "open3d-cpu", "open3d", trial="open3d", serves="the renderer raycast, the refiner icp, pictures"
+    _require("safetensors", serves="learned models"),
+    Dependency("faiss", ("faiss-cpu", "faiss-gpu"), "the matcher faiss", "pip install 'tactile-loc[faiss]'"),
+    Dependency(
+        "open3d",
+        ("open3d-cpu", "open3d"),
+        "the renderer raycast and the refiner icp",
+        "pip install 'tactile-loc[render]'",
+        trial="open3d",
     ),
     Dependency(
         "pyrender",
         ("pyrender",),
         "the renderer pyrender",
-        "pip install pyrender",
+        "pip install 'tactile-loc[render]'",
         trial="egl",
         repair=advise_install("libegl1 libgl1-mesa-dri"),
     ),
@@ -228,7 +233,6 @@ LIBRARIES = (
         "pip install 'tactile-loc[learned]'",
         trial="torch",
     ),
-    Dependency("safetensors", ("safetensors",), "learned models", "pip install 'tactile-loc[learned]'"),
     Dependency("kiss_icp", ("kiss-icp",), "the refiner kiss-icp", "pip install 'tactile-loc[kiss]'"),
     Dependency("small_gicp", ("small-gicp",), "the plugin tactile-loc-small-gicp", "pip install small-gicp"),
     Dependency("distributed", ("distributed",), "jobs on a Dask cluster", "pip install 'tactile-loc[sweep]'"),

@@ -19,7 +19,7 @@ from tactile_loc_benchmark.interfaces import Image, RecordedSource, SimulatedSou
 from tactile_loc_benchmark.suite import Suite, SuiteEntry, create
 
 EXAMPLES_VERSION = 2  # increase it if the same source and seed give other touches
-RENDERER = "raycast"
+RENDERER = "zbuffer"
 MOST_DRAWS = 60  # most presses for one touch
 REACH_M = 0.3  # the object rests within this distance of the base frame's origin, along each axis
 NUMBERS = ("press_depth_m", "indentation_m", "indentation_std_m")

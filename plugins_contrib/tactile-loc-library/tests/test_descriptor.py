@@ -1,4 +1,4 @@
-"""Tests of the descriptor: another implementation of its networks, yaws, and touches drawn by ray casting."""
+"""Tests of the descriptor: another implementation of its networks, yaws, and touches drawn exactly."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_features_of_a_touch_state_what_is_known() -> None:
 def test_touches_resemble_a_place_of_their_object_nearby(places: dict[str, Places], name: str) -> None:
     geometry = registry().create("sensor", "gelsight-mini", {}).geometry
     obj, descriptor = load_object(name), load_descriptor()
-    source = RobotTouches(obj, geometry, registry().create("renderer", "raycast", {}))
+    source = RobotTouches(obj, geometry, registry().create("renderer", "zbuffer", {}))
     own = descriptor.describe_places(places[name].patches)
     ranks = []
     for touch in source.draw_example(8, np.random.default_rng(3))[0]:

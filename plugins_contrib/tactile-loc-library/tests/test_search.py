@@ -72,10 +72,10 @@ def search(open_search) -> PartSearch:
 @pytest.fixture(scope="module")
 def touches(search) -> dict[str, list[Touch]]:
     """Two touches of each part, from another renderer."""
-    raycast, rng, found = registry().create("renderer", "raycast", {}), np.random.default_rng(3), {}
+    renderer, rng, found = registry().create("renderer", "zbuffer", {}), np.random.default_rng(3), {}
     for k, name in enumerate(search.names):
         with search.use(k) as part:
-            source = RobotTouches(part.model.object, part.model.scene.geometry, raycast, (0.7, 0.9))
+            source = RobotTouches(part.model.object, part.model.scene.geometry, renderer, (0.7, 0.9))
             found[name] = source.draw_example(2, rng)[0]
     return found
 
@@ -143,10 +143,10 @@ def test_parts_of_the_same_size_are_found_in_any_order_of_the_axes(search, libra
 
 @pytest.mark.parametrize("name", ["plate", "ring", "rod"])
 def test_noisy_touches_fit_their_own_part_best(search, name):
-    own, raycast = search.names.index(name), registry().create("renderer", "raycast", {})
+    own, renderer = search.names.index(name), registry().create("renderer", "zbuffer", {})
     with search.use(own) as part:
         noise = make_noise("mild")
-        source = RobotTouches(part.model.object, part.model.scene.geometry, raycast, (0.7, 0.9), noise=noise)
+        source = RobotTouches(part.model.object, part.model.scene.geometry, renderer, (0.7, 0.9), noise=noise)
     noisy, _ = source.draw_example(2, np.random.default_rng(8))
     votes = search.compare(noisy)
     rough = [search.look_into(k, votes, search.examine(k, votes)) for k in range(len(search))]

@@ -25,7 +25,7 @@ from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_arrays
 
 MOST_DRAWS = 100  # most presses for one touch, in case their images show no contact
-RENDERER = "raycast"
+RENDERER = "zbuffer"
 OWN = "own touches"  # the noise or kind of labelled touches
 
 
@@ -44,7 +44,7 @@ class TouchedExample:
 
 @dataclass(frozen=True, eq=False)
 class DrawnExamples:
-    """Examples of `most` simulated touches, pressed from random directions and drawn by the ray caster.
+    """Examples of `most` simulated touches, pressed from random directions and drawn exactly.
 
     `source` states the noise, the seed, and whether the sensor reads the touches from simulated images. The noise's
     error of the sensor pose is added to `T_base_sensor` of each touch, and its standard deviation is stated. An example

@@ -31,6 +31,7 @@ log = logging.getLogger(__name__)
 Units = Literal["m", "mm", "cm", "inch", "auto"]
 METRES_PER_UNIT: dict[str, float] = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
 
+AGGRESSIVENESS = 3  # of a decimation, 0 to 10; lower ones stay closer to the surface, but may stop early
 ARCHIVES = (".zip", ".gz", ".bz2", ".xz", ".tar")  # refused, because archives could inflate without end
 
 _found: dict[tuple[str, str], SymmetryGroup] = {}  # by digest and declaration; a sweep opens the same file many times
@@ -75,8 +76,8 @@ def read_surface(path: Path) -> Surface:
     except ImportError as error:
         library = error.name or {".dae": "pycollada"}.get(path.suffix.lower(), "lxml")
         raise MissingLibraryError(
-            f"{path} is read with {library}, which is not installed: pip install {library}; or give an STL, OBJ, PLY "
-            "or STEP file"
+            f"{path} is read with {library}, which is not installed: pip install 'tactile-loc[meshes]'; or give an "
+            "STL, OBJ, PLY or STEP file"
         ) from error
     except Exception as error:
         reason = summarize(error)[:120]
@@ -224,11 +225,9 @@ def _find_scale(surface: Surface, units: str, name: str) -> tuple[float, list[st
 
 
 def simplify_mesh(mesh: TriangleMesh, faces: int) -> TriangleMesh:
-    """Return the surface with about `faces` triangles, by open3d's quadric error metrics."""
-    import open3d as o3d
+    """Return the surface with about `faces` triangles, by quadric error metrics."""
+    from fast_simplification import simplify
 
-    whole = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices_m), o3d.utility.Vector3iVector(mesh.faces.astype(np.int32))
-    )
-    fewer: Any = whole.simplify_quadric_decimation(faces)
-    return TriangleMesh(np.asarray(fewer.vertices, float), np.asarray(fewer.triangles, np.int64))
+    size_m = np.ptp(mesh.vertices_m, axis=0).max()  # its thresholds are for surfaces of size 1
+    vertices, triangles = simplify(mesh.vertices_m / size_m, mesh.faces, target_count=faces, agg=AGGRESSIVENESS)
+    return TriangleMesh(np.asarray(vertices, float) * size_m, np.asarray(triangles, np.int64))

@@ -8,6 +8,7 @@ object within the band.
 from __future__ import annotations
 
 from collections import OrderedDict
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,9 @@ from numpy.typing import NDArray
 from tactile_loc.plugin import ComponentOptions, Float32, Poses, Renderer, RenderError, SensorGeometry, TriangleMesh
 
 PixelBox = tuple[slice, slice]
+
+if find_spec("open3d") is None:  # it is imported at first use, because that takes a second
+    raise ModuleNotFoundError("No module named 'open3d'", name="open3d")
 
 MOST_MESHES = 4  # meshes whose search structure is kept
 

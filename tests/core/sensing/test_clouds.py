@@ -11,7 +11,7 @@ from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.sensing.clouds import OUTLINE_PX, OUTLINE_REACH_PX, SIDES, make_contact_cloud, make_outline_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, compute_contact_depth
-from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 
 RADIUS_M = 0.008
 CAMERAS = {
@@ -36,7 +36,7 @@ def test_the_cloud_of_a_ball_has_points_and_normals_of_the_ball(camera, make_obj
     ball = make_object(trimesh.creation.icosphere(6, RADIUS_M)).mesh
     centre = np.array([0.001, -0.002, camera.standoff_m + RADIUS_M])
     depth = compute_contact_depth(
-        RaycastRenderer().render(ball, make_translation(centre)[None], camera), camera, camera.max_depth_m
+        ZBufferRenderer().render(ball, make_translation(centre)[None], camera), camera, camera.max_depth_m
     )[0]
     shape = ContactShape(depth, camera.max_depth_m)
     points, normals = make_contact_cloud(shape, camera, walls=False)
@@ -53,7 +53,7 @@ def test_the_cloud_of_a_ball_has_points_and_normals_of_the_ball(camera, make_obj
 def test_the_shallow_rim_of_a_ball_has_no_walls(camera, make_object):
     ball = make_object(trimesh.creation.icosphere(6, RADIUS_M)).mesh
     T = make_translation([0, 0, camera.standoff_m + RADIUS_M])[None]
-    shape = ContactShape(compute_contact_depth(RaycastRenderer().render(ball, T, camera), camera, 0.0005)[0], 0.0005)
+    shape = ContactShape(compute_contact_depth(ZBufferRenderer().render(ball, T, camera), camera, 0.0005)[0], 0.0005)
     assert len(make_contact_cloud(shape, camera)[0]) == shape.contact.sum()
 
 

@@ -10,7 +10,8 @@ from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, make
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.zbuffer import draw_nearest_depths
-from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.slots.registry import registry
+from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 
 
@@ -26,24 +27,29 @@ def knot() -> TriangleMesh:
     return TriangleMesh(np.array(solid.vertices), np.array(solid.faces, np.int64))
 
 
-def test_the_zbuffer_agrees_with_ray_casting(camera, knot):
+@pytest.fixture(scope="module")
+def raycast() -> Renderer:
+    pytest.importorskip("open3d")
+    return registry().create("renderer", "raycast", {})
+
+
+def test_the_zbuffer_agrees_with_ray_casting(camera, knot, raycast):
     R = draw_rotations(6, np.random.default_rng(1))
     T, touching = bring_to_contact(knot, make_transform(R, [0.001, -0.002, 0.0]), camera)
     assert touching.all()
     limit = camera.standoff_m + camera.max_depth_m
     ours, theirs = (
-        np.minimum(depth, limit)
-        for depth in (draw_nearest_depths(knot, T, camera), RaycastRenderer().render(knot, T, camera))
+        np.minimum(depth, limit) for depth in (draw_nearest_depths(knot, T, camera), raycast.render(knot, T, camera))
     )
     assert (ours < limit).mean() > 0.01
     assert (np.abs(ours - theirs) < 2e-7).mean() > 0.999  # a pixel's centre may lie on an edge
 
 
-def test_a_triangle_that_reaches_behind_the_camera_is_clipped():
+def test_a_triangle_that_reaches_behind_the_camera_is_clipped(raycast):
     g = LOPSIDED_CAMERAS["pinhole"]
     wall = TriangleMesh(np.array([[0.02, -1.0, -0.3], [0.02, 1.0, -0.3], [-0.005, 0.0, 0.0225]]), np.array([[0, 1, 2]]))
     ours = draw_nearest_depths(wall, np.eye(4)[None], g)[0]
-    theirs = RaycastRenderer().render(wall, np.eye(4)[None], g)[0]
+    theirs = raycast.render(wall, np.eye(4)[None], g)[0]
     limit = g.standoff_m + g.max_depth_m
     assert (ours < limit).any()
     np.testing.assert_allclose(np.minimum(ours, limit), np.minimum(theirs, limit), rtol=1e-5)

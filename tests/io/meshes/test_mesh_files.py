@@ -86,7 +86,7 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch):
         raise ModuleNotFoundError("No module named 'lxml'", name="lxml")
 
     monkeypatch.setitem(trimesh.exchange.load.mesh_loaders, "3mf", lack)
-    with pytest.raises(MissingLibraryError, match=naming("part.3mf", "pip install lxml")):
+    with pytest.raises(MissingLibraryError, match=naming("part.3mf", "pip install 'tactile-loc[meshes]'")):
         load_object(write_3mf(tmp_path / "part.3mf", "inch"))
 
 

@@ -48,8 +48,8 @@ def grip(localizer: Localizer, seed: int) -> tuple[np.ndarray, list[Touch]]:
     rng, gel = np.random.default_rng(seed), localizer.sensor.geometry
     R = rotation_about([0, 1, 0], rng.uniform(-0.2, 0.2)) @ rotation_about([0, 0, 1], rng.uniform(-0.3, 0.3))
     T_world_object = make_transform(R, np.array([rng.uniform(-5e-3, 5e-3), 0, rng.uniform(-5e-3, 5e-3)]))
-    raycast = registry().create("renderer", "raycast", {})
-    robot, touches = RobotTouches(localizer.object, gel, raycast, noise=make_noise("mild")), []
+    renderer = registry().create("renderer", "zbuffer", {})
+    robot, touches = RobotTouches(localizer.object, gel, renderer, noise=make_noise("mild")), []
     for side in (-1, 1):
         x, z = np.array([0.0, 0, 1]), np.array([0.0, -side, 0])
         T_world_sensor = make_transform(np.stack([x, np.cross(z, x), z], axis=1), -z * (OPENING_M + gel.surface_m))

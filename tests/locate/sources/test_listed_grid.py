@@ -15,13 +15,13 @@ from tactile_loc.locate.sources import listed_grid as module
 from tactile_loc.locate.sources.listed_grid import ObjectPoseModel, build_bank, build_model
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.grids.face import FaceGrid
-from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.store.store import StageStore
 
 SHARD = 64
 
 
-class Counting(RaycastRenderer):
+class Counting(ZBufferRenderer):
     """Records how many poses each call rendered, can fail at one call, and can have another version."""
 
     def __init__(self, stop_at: int | None = None, make: str = "counting") -> None:
@@ -90,7 +90,7 @@ def test_stored_shapes_decode_to_the_rendered_ones_and_are_cut_for_lighter_press
     assert np.array_equal(model.shapes.shape(3, press_m), cut[3])
 
 
-class Farther(RaycastRenderer):
+class Farther(ZBufferRenderer):
     """Draws everything 0.5 mm farther away, so there is less contact."""
 
     def render(self, mesh, T_sensor_object, geometry):

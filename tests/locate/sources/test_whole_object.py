@@ -201,7 +201,7 @@ def test_a_pose_far_from_many_nearer_ones_is_registered_to_several_touches(local
 def test_two_touches_that_two_poses_explain_are_ambiguous(store):
     """The hook turned by half a turn explains both touches perfectly, and starts nearer to them than the true pose."""
     localizer = Localizer.create("hook", store=store, sensor={"name": "gelsight-mini", "image_size_px": [160, 120]})
-    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "raycast", {}))
+    source = RobotTouches(localizer.object, localizer.scene.geometry, registry().create("renderer", "zbuffer", {}))
     touches, _ = source.draw_example(2, np.random.default_rng([77, 274]))
     found = locate_together(localizer, touches)
     assert found.verdict is Verdict.AMBIGUOUS

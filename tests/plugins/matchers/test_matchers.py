@@ -13,9 +13,10 @@ from tactile_loc.locate.sources.listed_grid import build_bank, build_model
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.matchers.dense import DenseMatcher
-from tactile_loc.plugins.matchers.faiss import FaissMatcher
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.simulate.touch_simulation import simulate_touches
+from tactile_loc.slots.matcher import Matcher
+from tactile_loc.slots.registry import registry
 
 
 def brute_force(queries: np.ndarray, bank: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
@@ -52,8 +53,9 @@ def real_bank(store, pinhole) -> tuple[np.ndarray, np.ndarray]:
     return PixelEncoder().encode(depths, 0.002, pinhole), bank
 
 
-def matcher_of(bank: np.ndarray, **options) -> FaissMatcher:
-    matcher = FaissMatcher(FaissMatcher.Options(**options))
+def matcher_of(bank: np.ndarray, **options) -> Matcher:
+    pytest.importorskip("faiss")
+    matcher = registry().create("matcher", "faiss", options)
     matcher.index(bank)
     return matcher
 

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import numpy as np
-import open3d
 import pytest
 import trimesh
 
@@ -12,9 +11,14 @@ from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.plugin.helpers import Cloud
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+
+pytest.importorskip("open3d")
+
+import open3d
+
 from tactile_loc.plugins.refiners import icp
 from tactile_loc.plugins.refiners.icp import IcpRefiner
-from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 
 
 @pytest.mark.parametrize("camera", ["pinhole", "orthographic"])
@@ -25,7 +29,7 @@ def test_tilt_and_height_are_refined(camera, make_object):
     ball = trimesh.creation.icosphere(4, 0.006)
     centres_m = ((0, 0, 0), (0.004, 0.003, 0.0003), (-0.004, 0.003, 0.0006), (0, -0.005, 0.0004))
     bumps = make_object(trimesh.util.concatenate([ball.copy().apply_translation(at) for at in centres_m]))
-    scene = Scene(bumps, g, RaycastRenderer()).press(0.002)
+    scene = Scene(bumps, g, ZBufferRenderer()).press(0.002)
     true = scene.bring_to_contact(make_translation([0.0005, 0.0002, 0.0])[None])[0][0]
     touch = Touch(scene.contact_shape(true, 0.002), g, T_sensor_object=true)
     tilt = make_transform(rotation_about([1, 0.5, 0.3], np.radians(2.5)), [0.0004, -0.0003, 0.0])

@@ -10,9 +10,7 @@ import trimesh
 
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import RenderError
-from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
-from tactile_loc.plugins.renderers.raycast import RaycastRenderer
-from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+from tactile_loc.slots.registry import registry
 from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS, make_plate, make_stepped_block
 
@@ -36,21 +34,25 @@ def bracket() -> TriangleMesh:
 
 
 @pytest.fixture(scope="session")
-def new_pyrender() -> Callable[[], PyrenderRenderer]:
-    """Make pyrender renderers; skip the test if this machine has no OpenGL."""
-    probe = PyrenderRenderer()
+def new_pyrender() -> Callable[[], Renderer]:
+    """Make pyrender renderers; skip the test if pyrender is not installed or this machine has no OpenGL."""
+    pytest.importorskip("pyrender")
+    kind = registry().load("renderer", "pyrender")
+    probe = kind()
     try:
         probe.render(TriangleMesh(np.eye(3), np.array([[0, 1, 2]])), np.eye(4)[None], LOPSIDED_CAMERAS["pinhole"])
     except RenderError as error:
         pytest.skip(str(error))
     probe.close()
-    return PyrenderRenderer
+    return kind
 
 
 @pytest.fixture(params=["raycast", "zbuffer", "pyrender"])
 def exact_renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
+    if request.param == "raycast":
+        pytest.importorskip("open3d")
     if request.param != "pyrender":
-        yield RaycastRenderer() if request.param == "raycast" else ZBufferRenderer()
+        yield registry().create("renderer", request.param, {})
         return
     renderer = request.getfixturevalue("new_pyrender")()
     yield renderer

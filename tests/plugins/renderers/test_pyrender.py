@@ -13,6 +13,9 @@ from message_helpers import naming
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import RenderError
+
+pytest.importorskip("pyrender")
+
 from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 
 CODE_IMPORT_ONLY = """

@@ -13,6 +13,9 @@ from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import RenderError
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+
+pytest.importorskip("open3d")
+
 from tactile_loc.plugins.renderers import raycast
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
 

@@ -14,7 +14,8 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.data import DEMO_OBJECTS
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
-from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+from tactile_loc.slots.registry import registry
 from tactile_loc.slots.renderer import Renderer
 
 MESHES = Path(__file__).parents[4] / "shared" / "data" / "meshes"
@@ -43,13 +44,13 @@ def part(request: pytest.FixtureRequest) -> TriangleMesh:
 
 @pytest.fixture(scope="module", params=list(CAMERAS))
 def touches(request: pytest.FixtureRequest, part: TriangleMesh):
-    """The camera, its name, contact poses, and the ray caster's contact depths."""
+    """The camera, its name, contact poses, and the contact depths of the z-buffer."""
     g = CAMERAS[request.param]
     rng = np.random.default_rng(11)
     R = np.repeat(draw_rotations(4, rng), 3, axis=0)
     offset = np.c_[rng.uniform(-0.01, 0.01, (len(R), 2)), np.zeros(len(R))]
     T, touching = bring_to_contact(part, make_transform(R, offset - R @ part.centroid_m), g)
-    return request.param, g, T[touching], RaycastRenderer().render(part, T[touching], g)
+    return request.param, g, T[touching], ZBufferRenderer().render(part, T[touching], g)
 
 
 def agreement(a: np.ndarray, b: np.ndarray, g: SensorGeometry) -> tuple[float, float]:
@@ -60,16 +61,24 @@ def agreement(a: np.ndarray, b: np.ndarray, g: SensorGeometry) -> tuple[float, f
     return float(((a < limit) == (b < limit)).mean()), float(np.median(np.abs(a[both] - b[both])))
 
 
-def test_heightmap_agrees_with_raycast(part, touches):
+def test_the_height_map_agrees_with_the_zbuffer(part, touches):
     name, g, T, expected = touches
     mask, difference_m = agreement(HeightmapRenderer().render(part, T, g), expected, g)
     assert mask >= LEAST_MASK_AGREEMENT[name]
     assert difference_m <= 20e-6
 
 
-def test_pyrender_agrees_with_raycast(part, touches, new_pyrender):
+def test_pyrender_agrees_with_the_zbuffer(part, touches, new_pyrender):
     _, g, T, expected = touches
     renderer: Renderer = new_pyrender()
     mask, difference_m = agreement(renderer.render(part, T, g), expected, g)
+    assert mask >= 0.9999
+    assert difference_m <= 0.1e-6
+
+
+def test_ray_casting_agrees_with_the_zbuffer(part, touches):
+    pytest.importorskip("open3d")
+    _, g, T, expected = touches
+    mask, difference_m = agreement(registry().create("renderer", "raycast", {}).render(part, T, g), expected, g)
     assert mask >= 0.9999
     assert difference_m <= 0.1e-6

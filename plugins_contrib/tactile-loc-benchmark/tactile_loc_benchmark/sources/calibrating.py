@@ -14,7 +14,7 @@ from tactile_loc.plugin.helpers import SymmetryGroup, make_transform
 
 from tactile_loc_benchmark.interfaces import Image, SimulatedSource
 
-RENDERER = "raycast"
+RENDERER = "zbuffer"
 INSIDE = 0.2  # the ball's centre keeps this share of the image's sides from the border
 ABOVE_M = 5e-3  # distance between the ball and the gel in the image of the untouched gel
 LIGHT_M = 1e-4  # nominal press of the untouched gel

@@ -23,7 +23,7 @@ class RenderedTouches(SimulatedSource):
         """The renderer, the sensor and the noise."""
 
         renderer: Literal["raycast", "zbuffer", "heightmap", "pyrender"] = Field(
-            default="raycast", description="the renderer that draws the touches"
+            default="zbuffer", description="the renderer that draws the touches"
         )
         sensor: str = Field(default="gelsight-mini", description="the sensor's name")
         gel: Literal["rigid", "layer"] = Field(default="rigid", description="the sensor's gel: rigid or layer")

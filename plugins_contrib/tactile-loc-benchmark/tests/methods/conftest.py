@@ -1,4 +1,4 @@
-"""Touches of a block without symmetry, drawn by ray casting, and what a method knows about the block."""
+"""Touches of a block without symmetry, drawn exactly, and what a method knows about the block."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tactile_loc import RobotTouches
 from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.plugin import ObjectModel, Poses, Touch
 from tactile_loc.plugin.helpers import make_transform, rotation_about
-from tactile_loc.plugins.renderers.raycast import RaycastRenderer
+from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.plugins.sensors.presets import GelSightMini
 from tactile_loc.testing.problems import make_block
 
@@ -47,7 +47,7 @@ class Example:
 @pytest.fixture(scope="session")
 def example(tmp_path_factory) -> Example:
     obj, geometry = make_block(2.0), GelSightMini().geometry
-    drawn, _ = RobotTouches(obj, geometry, RaycastRenderer()).draw_example(3, np.random.default_rng(SEED))
+    drawn, _ = RobotTouches(obj, geometry, ZBufferRenderer()).draw_example(3, np.random.default_rng(SEED))
     touches = [replace(t, T_base_sensor=T_BASE_OBJECT @ t.T_base_sensor, T_sensor_object=None) for t in drawn]
     folder = tmp_path_factory.mktemp("methods")
     return Example(LocatingProblem(obj, {"name": "gelsight-mini"}, geometry, folder), touches, T_BASE_OBJECT)

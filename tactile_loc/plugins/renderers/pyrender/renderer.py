@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+from importlib.util import find_spec
 from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tactile_loc.plugin import ComponentOptions, Float32, Poses, Renderer, RenderError, SensorGeometry, TriangleMesh
+
+if find_spec("pyrender") is None:  # it is imported with the first OpenGL context
+    raise ModuleNotFoundError("No module named 'pyrender'", name="pyrender")
 
 if TYPE_CHECKING:
     from tactile_loc.plugins.renderers.pyrender.gl import DepthScene, Offscreen
