@@ -278,7 +278,7 @@ class Registry:
             self.load(spec.slot, spec.name) if spec.slot != COMMAND else import_target(offer)
         except MissingLibraryError as error:
             return str(error)
-        except TactileLocError:  # the package is broken or of another interface, which is told where it is used
+        except TactileLocError:  # the package is broken, which another message reports
             return ""
         return ""
 
