@@ -19,8 +19,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import quality_pictures
 import tables
 from page_helpers import DOCS, ROOT, find_blocks, list_commands, read_page, understand, write_part
+from PIL import Image
+from results import read_latest
 from tactile_loc_cli.main import app
 from typer.main import get_command
 from typer.testing import CliRunner
@@ -37,6 +40,7 @@ from tactile_loc.locate.result.result_arrays import MOST_FACES, MOST_POSES, pack
 from tactile_loc.locate.result.verdict import MEANINGS, Verdict
 from tactile_loc.plugins.sensors.presets import Preset
 from tactile_loc.slots.registry import BUILT_IN, SLOTS, registry
+from tactile_loc.view.palette import DARK, LIGHT
 
 PAGES = ["README.md", *(path.relative_to(DOCS).as_posix() for path in sorted(DOCS.rglob("*.md")))]
 README, REPORTS, TROUBLE = map(read_page, ("README.md", "reports.md", "troubleshooting.md"))
@@ -78,14 +82,23 @@ def localizer(store) -> Localizer:
 
 def test_the_python_example_of_the_readme_runs(monkeypatch, store, capsys):
     original = Localizer.create.__func__
-    coarse = {"store": store, "temperature": 0.05, **FACE}
-    monkeypatch.setattr(Localizer, "create", classmethod(lambda cls, *a, **k: original(cls, *a, **{**k, **coarse})))
+    monkeypatch.setattr(Localizer, "create", classmethod(lambda cls, *a, **k: original(cls, *a, **k, store=store)))
     (example,) = find_blocks(README, "python")
     exec(compile(example, "README.md", "exec"), {})
-    lines = capsys.readouterr().out.splitlines()
-    pattern = r" *[\d.]+%  at -?[\d.]+, -?[\d.]+, -?[\d.]+ mm  \(imprint IoU \d+%\)"
+    verdict, *lines = capsys.readouterr().out.splitlines()
+    assert verdict == Verdict.CERTAIN, "the moving picture shows these touches"
     assert lines
-    assert all(re.fullmatch(pattern, line) for line in lines)
+    assert all(re.fullmatch(r" *[\d.]+%  at -?[\d.]+, -?[\d.]+, -?[\d.]+ mm", line) for line in lines)
+
+
+def test_the_readme_is_short_and_begins_with_a_small_moving_picture():
+    assert len(README.split()) <= 600
+    shown = re.findall(r'"(docs/images/[^"]+)"', README.split("```")[0])
+    assert len(shown) == 2, "for dark and for light pages"
+    for path in shown:
+        assert (ROOT / path).stat().st_size <= 3_000_000
+        with Image.open(ROOT / path) as picture:
+            assert picture.n_frames > 20
 
 
 def test_every_make_target_of_the_readme_exists():
@@ -94,9 +107,27 @@ def test_every_make_target_of_the_readme_exists():
     assert shown | set(re.findall(r"`make ([a-z]+)`", README)) <= set(targets)
 
 
+# benchmarks.md
+
+
+@pytest.mark.parametrize("name", quality_pictures.PICTURES)
+@pytest.mark.parametrize("palette", [LIGHT, DARK])
+def test_a_picture_shows_the_kept_results(name, palette):
+    read, draw = quality_pictures.PICTURES[name]
+    values = read(read_latest())
+    picture = quality_pictures.find_picture(name, palette)
+    assert quality_pictures.read_values(picture) == values, "run python docs/quality_pictures.py"
+    assert f"({picture.relative_to(DOCS).as_posix()}#only-" in read_page("benchmarks.md")
+    assert draw(values).axes
+
+
+# plugins.md
+
+
 @pytest.mark.parametrize("slot", SLOTS)
-def test_the_readme_lists_the_components_of_a_slot(slot):
-    (row,) = re.findall(rf"^\| {slot} \| (.*) \|$", README, re.MULTILINE)
+def test_the_page_lists_the_components_of_a_slot(slot):
+    section = read_page("plugins.md").partition("\n## Built-in components\n")[2].partition("\n## ")[0]
+    (row,) = re.findall(rf"^\| {slot} \| (.*) \|$", section, re.MULTILINE)
     own = {c.spec.name for c in registry().components if c.spec.slot == slot and c.distribution == BUILT_IN}
     assert set(re.findall(r"`([\w-]+)`", row)) == own
 

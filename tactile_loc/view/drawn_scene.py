@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)  # red, green and blue, 0 to 1
 EDGE, TRUTH = "#16202c", "#e8590c"
 GEL_M, RIM_M = 1.5e-3, 1.6e-3  # drawn thickness of the gel, and drawn width of the housing around the gel
+BODY, NARROW = 0.5, 0.6  # drawn length of a sensor's body and width of its end, in widths of the gel
 DEVIATIONS = 2.0  # standard deviations of an ellipsoid's half axes
 
 
@@ -77,6 +78,20 @@ class DrawnSensor:
         return self._place(
             make_box(*sides, (self.geometry.surface_m - 2.2 * GEL_M, self.geometry.surface_m - 0.4 * GEL_M))
         )
+
+    @property
+    def body_m(self) -> Array:
+        """The triangles (12, 3, 3) of the body that holds the housing, metres, in the scene's frame.
+
+        Its shape is only drawn, and says nothing about the real sensor.
+        """
+        x0, x1, y0, y1 = self.geometry.rectangle
+        top_m, length_m = self.geometry.surface_m - 2.2 * GEL_M, BODY * max(x1 - x0, y1 - y0)
+        body = make_box((x0 - RIM_M, x1 + RIM_M), (y0 - RIM_M, y1 + RIM_M), (top_m - length_m, top_m))
+        middle = np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1)])
+        end = body[..., 2] < top_m - 0.5 * length_m
+        body[end, :2] = middle + NARROW * (body[end, :2] - middle)
+        return self._place(body)
 
     @property
     def outlines_m(self) -> list[Array]:

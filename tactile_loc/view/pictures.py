@@ -137,7 +137,7 @@ def _save(figure: Figure, file: Path | BytesIO, dpi: int | None) -> None:
             text.set_parse_math(False)
     asked = file.suffix[1:].lower() if isinstance(file, Path) else ""
     kind = asked if asked in figure.canvas.get_supported_filetypes() else "png"
-    figure.savefig(file, dpi=dpi or DPI, facecolor="white", format=kind)
+    figure.savefig(file, dpi=dpi or DPI, facecolor=figure.get_facecolor(), format=kind)
 
 
 def _draw_observed(panel: SubFigure, localization: Localization) -> None:

@@ -22,8 +22,13 @@ from tactile_loc.locate.result.verdict import Verdict
 
 MOST_ROWS, MOST_TOUCHES = 5, 4
 SIDE_PX = 96  # pixels along the long side of a picture
-VERDICT_COLOURS: dict[str, str] = {Verdict.CERTAIN: "#2b8a3e", Verdict.AMBIGUOUS: "#e67700"}
-OTHER_COLOUR = "#c92a2a"
+VERDICT_COLOURS = {  # readable on white and below white text, and different for colour-blind readers
+    Verdict.CERTAIN: "#00795a",
+    Verdict.AMBIGUOUS: "#b45309",
+    Verdict.POOR_FIT: "#9b2c5f",
+    Verdict.NOT_FOUND: "#9b2c5f",
+    Verdict.NO_CONTACT: "#56606b",
+}
 CELL = 'style="text-align:left;padding:2px 10px"'
 
 
@@ -43,7 +48,7 @@ def write_html(summary: str, hypotheses: Sequence[Hypothesis], touches: Sequence
 def _write_summary(summary: str) -> str:
     first, *lines = summary.splitlines()
     verdict, _, meaning = first.partition(": ")
-    colour = VERDICT_COLOURS.get(verdict, OTHER_COLOUR)
+    colour = VERDICT_COLOURS[Verdict(verdict)]
     title = f'<strong style="color:{colour};font-size:120%">{html.escape(verdict)}</strong>: {html.escape(meaning)}'
     return "<br>".join([title, *map(html.escape, lines)])
 
