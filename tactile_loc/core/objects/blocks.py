@@ -58,17 +58,20 @@ def make_triangle_blocks(mesh: TriangleMesh) -> Blocks:
 class NearestTriangles(NamedTuple):
     """Arrays for compiled code, in one unit of length.
 
-    The F triangles have first `corners` (F, 3), `sides` (F, 2, 3) from there to the other corners, and unit `normals`
-    (F, 3). Cells of side `cell` start at the corner `low` (3,). `nearest` (X, Y, Z) is the number of the triangle
-    nearest to each cell, or -1 beyond reach. The triangles that share an edge with triangle f are those in `beside`
-    (R,) from ends[f] to ends[f + 1].
+    A row of `faces` (F, 16) describes a triangle: its first corner, the sides b and c from there to the other corners,
+    and its unit normal, each with three numbers. Then follow b.b, b.c, c.c and (b.b)(c.c) - (b.c)^2. Cells of side
+    `cell` start at the corner `low` (3,). `nearest` (X, Y, Z) is the number of the triangle nearest to each cell, or -1
+    beyond reach. The triangles that share an edge with triangle f are those in `beside` (R,) from ends[f] to ends[f+1].
     """
 
-    corners: NDArray[np.float64]
-    sides: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    faces: NDArray[np.float64]
     low: NDArray[np.float64]
     cell: float
     nearest: NDArray[np.int32]
     beside: NDArray[np.int32]
     ends: NDArray[np.int64]
+
+    @property
+    def normals(self) -> NDArray[np.float64]:
+        """The triangles' unit normals (F, 3)."""
+        return self.faces[:, 9:12]

@@ -35,6 +35,7 @@ SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0
 class SurfaceField:
     """The nearest surface points of a mesh, for points up to `reach_m` metres from the mesh."""
 
+    corners_m: NDArray[np.float64]  # (F, 3, 3)
     triangles: NearestTriangles
     reach_m: float
     distances: NDArray[np.uint8]  # (X, Y, Z), from the centre of each cell to the surface, in steps of reach_m / FAR
@@ -46,17 +47,14 @@ class SurfaceField:
         size = mesh.extents_m + 2 * reach_m
         cell_m = max(cell_m, float(np.cbrt(size.prod() / MOST_CELLS)))
         corners = np.ascontiguousarray(mesh.triangles_m[mesh.face_areas > 0])
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         nearest = np.full(np.ceil(size / cell_m).astype(int) + 1, -1, np.int32)
-        first, sides = np.ascontiguousarray(corners[:, 0]), corners[:, 1:] - corners[:, :1]
         squared_m2 = np.full(nearest.shape, np.inf, np.float32)
-        triangles = NearestTriangles(first, sides, normals, low, cell_m, nearest, *_find_neighbours(corners))
-        boxes = np.hstack([first + np.minimum(0, sides.min(axis=1)), first + np.maximum(0, sides.max(axis=1))])
+        triangles = NearestTriangles(pack_triangles(corners), low, cell_m, nearest, *_find_neighbours(corners))
+        boxes = np.hstack([corners.min(axis=1), corners.max(axis=1)])
         _mark_crossed(triangles, boxes, squared_m2)
         _carry(triangles, boxes, reach_m, squared_m2, np.argwhere(nearest >= 0).astype(np.int32))
         distances = np.minimum(np.rint(np.sqrt(squared_m2) * np.float32(FAR / reach_m)), FAR).astype(np.uint8)
-        return cls(triangles, reach_m, distances)
+        return cls(corners, triangles, reach_m, distances)
 
     @property
     def nbytes(self) -> int:
@@ -67,7 +65,7 @@ class SurfaceField:
     def triangles_mm(self) -> NearestTriangles:
         """The arrays for compiled code, in mm."""
         of = self.triangles
-        return of._replace(corners=of.corners * 1e3, sides=of.sides * 1e3, low=of.low * 1e3, cell=of.cell * 1e3)
+        return of._replace(faces=pack_triangles(self.corners_m * 1e3), low=of.low * 1e3, cell=of.cell * 1e3)
 
     def find_closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return the surface points (N, 3), metres, nearest to points (N, 3), metres, in the object frame.
@@ -104,6 +102,15 @@ class SurfaceField:
         return gaps * (self.reach_m / FAR)
 
 
+def pack_triangles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rows (F, 16) of `NearestTriangles.faces` for triangles with corners (F, 3, 3)."""
+    first, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normals = np.cross(b, c)
+    areas = np.linalg.norm(normals, axis=1, keepdims=True)
+    products = [np.einsum("fk,fk->f", one, other)[:, None] for one, other in ((b, b), (b, c), (c, c))]
+    return np.hstack([first, b, c, normals / areas, *products, areas**2])
+
+
 def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Return the neighbours that share an edge with each triangle (F, 3, 3), joined, and where each list ends."""
     one, other = find_shared_sides(corners).T // 3
@@ -130,13 +137,13 @@ def build_surface_field(mesh: TriangleMesh, cell_m: float | None = None) -> Surf
 @njit
 def look_up(points, triangles, found, which):
     """Fill `found` (N, 3) with the surface points nearest to `points` (N, 3), and `which` (N,) with their triangles."""
-    corners, sides = triangles.corners, triangles.sides
+    faces = triangles.faces
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         f = find_cell_triangle(x, y, z, triangles)
         if f >= 0:
             f, _ = walk_to_nearest(x, y, z, f, triangles)
-            found[i, 0], found[i, 1], found[i, 2] = find_closest_point(x, y, z, f, corners, sides)
+            found[i, 0], found[i, 1], found[i, 2] = find_closest_point(x, y, z, f, faces)
         which[i] = f
 
 
@@ -194,69 +201,59 @@ def walk_to_nearest(x, y, z, f, triangles):
     taken, or else the first one. Three triangles may each be preferred to the next one, because what counts as equal is
     a range. So the search goes to an equally near triangle MOST_TIES times at most.
     """
-    corners, sides, normals = triangles.corners, triangles.sides, triangles.normals
-    ends, beside = triangles.ends, triangles.beside
-    least, ties = _measure_squared_distance(x, y, z, f, corners, sides), 0
+    faces, ends, beside = triangles.faces, triangles.ends, triangles.beside
+    least, ties, before = _measure_squared_distance(x, y, z, f, faces), 0, -1
     while True:
-        best, tie, before = f, SAME * least + SAME_SQUARED, least
+        best, tie, start = f, SAME * least + SAME_SQUARED, least
         for number in range(ends[f], ends[f + 1]):
             other = beside[number]
-            off = _measure_off(x, y, z, other, corners, normals)
+            if other == before:
+                continue
+            off = _measure_off(x, y, z, other, faces)
             if off < least - tie:  # otherwise even the plane of the triangle is farther
-                d = _measure_squared_distance(x, y, z, other, corners, sides)
+                d = _measure_squared_distance(x, y, z, other, faces)
                 nearer = d < least - tie
                 if not nearer and d <= least + tie and ties < MOST_TIES:
-                    faces_more = off - _measure_off(x, y, z, best, corners, normals)
+                    faces_more = off - _measure_off(x, y, z, best, faces)
                     nearer = faces_more > tie or (faces_more >= -tie and other < best)
                 if nearer:
                     least, best = d, other
         if best == f:
             return f, least
-        ties += least >= before - tie
-        f = best
+        ties += least >= start - tie
+        before, f = f, best
 
 
 @njit(fast=True)
-def _measure_off(x, y, z, f, corners, normals):
+def _measure_off(x, y, z, f, faces):
     """Return the squared distance of the point x, y, z from the plane of triangle f."""
-    off = normals[f, 0] * (x - corners[f, 0]) + normals[f, 1] * (y - corners[f, 1])
-    off += normals[f, 2] * (z - corners[f, 2])
+    off = faces[f, 9] * (x - faces[f, 0]) + faces[f, 10] * (y - faces[f, 1]) + faces[f, 11] * (z - faces[f, 2])
     return off * off
 
 
 @njit(fast=True)
-def find_closest_point(x, y, z, f, corners, sides):
-    """Return the point nearest to the point x, y, z of triangle f, given `corners` (F, 3) and `sides` (F, 2, 3).
+def find_closest_point(x, y, z, f, faces):
+    """Return the point nearest to the point x, y, z of triangle f, given rows of `NearestTriangles.faces`.
 
-    See Ericson, Real-Time Collision Detection, 5.1.5.
+    If the point's projection is outside the triangle, the nearest points of its three sides are compared.
     """
-    a0, a1, a2 = corners[f, 0], corners[f, 1], corners[f, 2]
-    ab0, ab1, ab2 = sides[f, 0, 0], sides[f, 0, 1], sides[f, 0, 2]
-    ac0, ac1, ac2 = sides[f, 1, 0], sides[f, 1, 1], sides[f, 1, 2]
-    p0, p1, p2 = x - a0, y - a1, z - a2
-    d1, d2 = ab0 * p0 + ab1 * p1 + ab2 * p2, ac0 * p0 + ac1 * p1 + ac2 * p2
-    between = ab0 * ac0 + ab1 * ac1 + ab2 * ac2
-    d3, d4 = d1 - (ab0 * ab0 + ab1 * ab1 + ab2 * ab2), d2 - between
-    d5, d6 = d1 - between, d2 - (ac0 * ac0 + ac1 * ac1 + ac2 * ac2)
-    v = w = 0.0
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    if d1 <= 0.0 and d2 <= 0.0:
-        pass
-    elif d3 >= 0.0 and d4 <= d3:
-        v = 1.0
-    elif d6 >= 0.0 and d5 <= d6:
-        w = 1.0
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        v = d1 / (d1 - d3)
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        w = d2 / (d2 - d6)
-    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        v = 1.0 - w
+    ab0, ab1, ab2, ac0, ac1, ac2 = faces[f, 3], faces[f, 4], faces[f, 5], faces[f, 6], faces[f, 7], faces[f, 8]
+    p0, p1, p2 = x - faces[f, 0], y - faces[f, 1], z - faces[f, 2]
+    bb, bc, cc = faces[f, 12], faces[f, 13], faces[f, 14]
+    pb, pc = ab0 * p0 + ab1 * p1 + ab2 * p2, ac0 * p0 + ac1 * p1 + ac2 * p2
+    v, w, area = cc * pb - bc * pc, bb * pc - bc * pb, faces[f, 15]
+    if v >= 0.0 and w >= 0.0 and v + w <= area:
+        v, w = v / area, w / area
     else:
-        total = va + vb + vc
-        v, w = vb / total, vc / total
-    return a0 + v * ab0 + w * ac0, a1 + v * ab1 + w * ac1, a2 + v * ab2 + w * ac2
+        along = pc - pb - bc + bb  # from the second corner to the third one
+        third = bb + cc - 2.0 * bc
+        s, t, u = min(max(pb / bb, 0.0), 1.0), min(max(pc / cc, 0.0), 1.0), min(max(along / third, 0.0), 1.0)
+        # squared distances, less that of the first corner
+        on_b, on_c = s * (s * bb - 2.0 * pb), t * (t * cc - 2.0 * pc)
+        opposite = bb - 2.0 * pb + u * (u * third - 2.0 * along)
+        v, w = (s, 0.0) if on_b <= on_c else (0.0, t)
+        v, w = (1.0 - u, u) if opposite < min(on_b, on_c) else (v, w)
+    return faces[f, 0] + v * ab0 + w * ac0, faces[f, 1] + v * ab1 + w * ac1, faces[f, 2] + v * ab2 + w * ac2
 
 
 @njit
@@ -307,17 +304,17 @@ def _assign(at, f, triangles, boxes, most, squared):
 
     Return whether it is.
     """
-    (i, j, k), low, cell, corners = at, triangles.low, triangles.cell, triangles.corners
+    (i, j, k), low, cell, faces = at, triangles.low, triangles.cell, triangles.faces
     x, y, z = low[0] + (i + 0.5) * cell, low[1] + (j + 0.5) * cell, low[2] + (k + 0.5) * cell
     least = min(squared[i, j, k], most)
-    if _measure_off(x, y, z, f, corners, triangles.normals) >= least:  # the plane of the triangle is farther
+    if _measure_off(x, y, z, f, faces) >= least:  # the plane of the triangle is farther
         return False
     a = max(0.0, boxes[f, 0] - x, x - boxes[f, 3])
     b = max(0.0, boxes[f, 1] - y, y - boxes[f, 4])
     c = max(0.0, boxes[f, 2] - z, z - boxes[f, 5])
     if a * a + b * b + c * c >= least:  # the box around the triangle is farther
         return False
-    d = _measure_squared_distance(x, y, z, f, corners, triangles.sides)
+    d = _measure_squared_distance(x, y, z, f, faces)
     if d >= least:
         return False
     squared[i, j, k], triangles.nearest[i, j, k] = d, f
@@ -325,6 +322,6 @@ def _assign(at, f, triangles, boxes, most, squared):
 
 
 @njit(fast=True)
-def _measure_squared_distance(x, y, z, f, corners, sides):
-    p = find_closest_point(x, y, z, f, corners, sides)
+def _measure_squared_distance(x, y, z, f, faces):
+    p = find_closest_point(x, y, z, f, faces)
     return (x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2

@@ -53,7 +53,7 @@ def add_seen(i, T, observed, triangles, weighing, A, b):
     """
     scale, every = weighing
     points, normals, weights, slacks = observed.points, observed.normals, observed.weights, observed.slack
-    corners, faces = triangles.corners, triangles.normals
+    faces = triangles.faces
     c0, c1, c2 = observed.centres[i, 0], observed.centres[i, 1], observed.centres[i, 2]
     R00, R01, R02, t0 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
     R10, R11, R12, t1 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
@@ -70,17 +70,17 @@ def add_seen(i, T, observed, triangles, weighing, A, b):
         if f < 0:
             continue
         f, squared = walk_to_nearest(x, y, z, f, triangles)
-        m0, m1, m2 = faces[f, 0], faces[f, 1], faces[f, 2]
+        m0, m1, m2 = faces[f, 9], faces[f, 10], faces[f, 11]
         d0 = R00 * m0 + R01 * m1 + R02 * m2  # the face's normal in the sensor frame
         d1 = R10 * m0 + R11 * m1 + R12 * m2
         d2 = R20 * m0 + R21 * m1 + R22 * m2
         facing = d0 * normals[j, 0] + d1 * normals[j, 1] + d2 * normals[j, 2]
         if facing <= 0.0:
             continue
-        off = m0 * (x - corners[f, 0]) + m1 * (y - corners[f, 1]) + m2 * (z - corners[f, 2])
+        off = m0 * (x - faces[f, 0]) + m1 * (y - faces[f, 1]) + m2 * (z - faces[f, 2])
         r = off
         if squared - off * off > (NEAR_PLANE_MM + 0.5 * abs(off)) ** 2:  # the point is beside the triangle
-            n0, n1, n2 = find_closest_point(x, y, z, f, corners, triangles.sides)
+            n0, n1, n2 = find_closest_point(x, y, z, f, faces)
             r = math.sqrt(squared)
             n0, n1, n2 = (x - n0) / r, (y - n1) / r, (z - n2) / r
             d0 = R00 * n0 + R01 * n1 + R02 * n2

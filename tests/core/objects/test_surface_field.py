@@ -8,7 +8,7 @@ import trimesh
 
 from tactile_loc.core.objects import surface_field as module
 from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field, find_closest_point
+from tactile_loc.core.objects.surface_field import SurfaceField, build_surface_field, find_closest_point, pack_triangles
 from tactile_loc.core.runtime.caches import ByteCache
 
 SOLIDS = {
@@ -98,7 +98,7 @@ def test_the_closest_point_is_right_in_every_region_of_a_triangle():
         (2.0, 2.0, -1.0): (1.0, 1.0, 0.0),
     }
     for point, nearest in cases.items():
-        found = find_closest_point(*point, 0, corners[:1], (corners[1:] - corners[0])[None])
+        found = find_closest_point(*point, 0, pack_triangles(corners[None]))
         np.testing.assert_allclose(found, nearest, atol=1e-12)
 
 
