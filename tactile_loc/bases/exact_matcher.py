@@ -35,7 +35,12 @@ class ExactMatcher(Matcher):
         weighed = np.multiply(w, q, dtype=np.float32)
         of_queries = 0.5 * np.einsum("md,md->m", weighed, q)
         scores = multiply(weighed, self._bank.T)
-        scores -= multiply(w, self._half_squares.T)
+        partly = np.flatnonzero((w != 1).any(axis=0))  # all rows have the same squares where each query counts fully
+        if 2 * len(partly) < w.shape[1]:
+            scores += multiply(1 - w[:, partly], self._half_squares[partly])
+            scores -= self._half_norms
+        else:
+            scores -= multiply(w, self._half_squares)
         scores -= of_queries[:, None]
         return scores
 
@@ -45,7 +50,7 @@ class ExactMatcher(Matcher):
 
     @cached_property
     def _half_squares(self) -> Float32:
-        halves = np.square(self._bank)
+        halves = np.square(self._bank.T, order="C")
         halves *= np.float32(0.5)
         return halves
 

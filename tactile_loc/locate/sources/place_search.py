@@ -96,13 +96,12 @@ class PlaceSearch:
                 kept = np.unique(np.concatenate([kept[: options.registered - count], expected]))
         return PoseGrid(poses[kept], self.metric), ious[kept].astype(np.float32)
 
-    def find_starts_alone(self, view: View, matched: Rated) -> tuple[PoseGrid, NDArray[np.float64]]:
+    def find_starts_alone(self, view: View) -> tuple[PoseGrid, NDArray[np.float64]]:
         """Return poses that explain one touch well, and their imprint IoUs (K,) in coarse renders.
 
-        `matched` are the touch's most similar rotated places. Fewer of them are registered than by `score`, so the true
-        pose may be missing.
+        Fewer of the most similar rotated places are registered than by `score`, so the true pose may be missing.
         """
-        poses, scores = matched
+        ((poses, scores),) = self.propose(view.touch, self.options.candidates_together)
         apart = suppress_non_maxima(poses, scores, self.metric, self.radius_m, MOVED_ALONE)
         poses = self.registration.register_coarsely([view], poses[apart], REGISTERED_ALONE)
         return PoseGrid(poses, self.metric), view.imprint_ious(poses, self.options.image_px)

@@ -93,14 +93,9 @@ class SourceSetup:
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Each touch's own posterior, over poses in the frame of its own sensor.
-
-    If all touches were searched together, `matched` are the rotated places most similar to each touch, with their
-    scores.
-    """
+    """Each touch's own posterior, over poses in the frame of its own sensor."""
 
     alone: Sequence[PosePosterior]
-    matched: Sequence[Rated] = ()
 
 
 class PoseSource(ABC):

@@ -31,7 +31,7 @@ from tactile_loc.locate.hypotheses import DOUBT, choose_best_apart, compare_wher
 from tactile_loc.locate.probability.temperature import SEARCHED, TemperatureScaling
 from tactile_loc.locate.sources.place_search import MOST_UNEXPLAINED, PlaceSearch
 from tactile_loc.locate.sources.scoring import Scores
-from tactile_loc.locate.sources.source import PoseSource, Rated, Scored, Values, require_one_kind
+from tactile_loc.locate.sources.source import PoseSource, Scored, Values, require_one_kind
 from tactile_loc.locate.sources.stored_places import PlaceBanks, load_places
 
 ROUGH_CELL_M = 1e-3  # side of a cell of the surface's field in a rough search
@@ -106,7 +106,7 @@ class WholeObjectSource(PoseSource):
     def list_starts_alone(self, view: View, scored: Scored, number: int, times: StageTimes) -> tuple[PoseGrid, Values]:
         """Return poses that explain one touch well, and their imprint IoUs (K,) in coarse renders."""
         with times.stage("register"):
-            return self.place_search.find_starts_alone(view, scored.matched[number])
+            return self.place_search.find_starts_alone(view)
 
     def keep_promising(
         self, modes: Sequence[Mode], imprint_ious: NDArray[np.float64], trusted: Sequence[View], times: StageTimes
@@ -167,13 +167,11 @@ class FoundTogether:
     """The likeliest poses given N touches.
 
     `T_first_object` (K, 4, 4), metres, is in the first touch's sensor frame. `ious` (K, N), 0 to 1, are the poses'
-    imprint IoUs with the touches. `matched` are the rotated places most similar to each touch, as poses in the frame of
-    its own sensor.
+    imprint IoUs with the touches.
     """
 
     T_first_object: Poses
     ious: NDArray[np.float64]
-    matched: Sequence[Rated]
 
     def rate(self, views: Sequence[View], sources: Sequence[PoseSource], metric: PoseMetric) -> Scored:
         """Return each touch's posterior over the poses, in its own sensor frame, with its source's scaling."""
@@ -181,7 +179,7 @@ class FoundTogether:
         for view, source, ious in zip(views, sources, self.ious.T, strict=True):
             grid = PoseGrid(view.T_sensor_first @ self.T_first_object, metric)
             alone.append(source.temperature_scaling.posterior(grid, ious))
-        return Scored(alone, self.matched)
+        return Scored(alone)
 
 
 def search_together(
@@ -189,35 +187,57 @@ def search_together(
 ) -> FoundTogether:
     """Return the likeliest poses given several touches. Adds stage durations to `times`.
 
-    The rotated places most similar to each touch are collected. The poses whose surface is nearest to all touches are
-    moved by a few steps of registration. A wrong pose may be as near as a pose beside the true one, but stays as far
-    from the touches then. So the poses that are nearest now are registered further, rendered, and compared with each
-    touch. No returned pose is near a better one. If none of the first poses explains the touches well, further batches
-    are registered, until one of them brings no better pose. A `prior` is over poses in the first touch's sensor frame.
+    The rotated places most similar to the touch with the largest contact are collected. If none of them leads to a pose
+    that explains all touches well, or if there is a prior, those of all touches are collected. The poses whose surface
+    is nearest to all touches are moved by a few steps of registration. A wrong pose may be as near as a pose beside the
+    true one, but stays as far from the touches then. So the poses that are nearest now are registered further,
+    rendered, and compared with each touch. No returned pose is near a better one. If none of the first poses explains
+    the touches well, further batches are registered, until one of them brings no better pose. A `prior` is over poses
+    in the first touch's sensor frame.
     """
     seen = [None if prior is None else SeenFrom(prior, invert(view.T_sensor_first)) for view in views]
     search, options = searches[0], searches[0].options
-    with times.stage("match"):
-        proposed = [
-            one.propose(view.touch, one.options.candidates_together, from_here)
-            for view, one, from_here in zip(views, searches, seen, strict=True)
-        ]
-        each = zip(views, proposed, strict=True)
-        poses = np.concatenate([invert(view.T_sensor_first) @ some for view, groups in each for some, _ in groups])
-        grid, count = PoseGrid(poses, search.metric), max(1, round(EXPECTED_SHARE * options.moved_together))
-        expected = keep_expected(views, grid, prior, 2 * search.radius_m, count)
-        poses = _keep_nearest(views, search, poses, options.moved_together // 2, options.registered_widely)
+    found: list[tuple[Poses, NDArray[np.float64]]] = []
+    if prior is None:
+        largest = int(np.argmax([view.touch.contact_share for view in views]))
+        with times.stage("match"):
+            poses = _propose(views, searches, seen, [largest])
+            poses = _keep_nearest(views, search, poses, options.moved_together // 2, options.moved_together)
+        with times.stage("register"):
+            found.append(_register(views, search, poses, options.registered_together))
+    if not found or found[0][1].mean(axis=1).max() < options.wide_below_iou:
+        with times.stage("match"):
+            poses = _propose(views, searches, seen, range(len(views)))
+            grid, count = PoseGrid(poses, search.metric), max(1, round(EXPECTED_SHARE * options.moved_together))
+            expected = keep_expected(views, grid, prior, 2 * search.radius_m, count)
+            poses = _keep_nearest(views, search, poses, options.moved_together // 2, options.registered_widely)
+        with times.stage("register"):
+            found.append(_register_in_batches(views, search, poses))
+            if len(expected):
+                others, other_ious = _register(views, search, expected, prior=prior)
+                explain = other_ious.mean(axis=1) >= found[-1][1].mean(axis=1).max() - MOST_UNEXPLAINED
+                found.append((others[explain], other_ious[explain]))
     with times.stage("register"):
-        registered, ious = _register_in_batches(views, search, poses)
-        if len(expected):
-            others, other_ious = _register(views, search, expected, prior=prior)
-            explain = other_ious.mean(axis=1) >= ious.mean(axis=1).max() - MOST_UNEXPLAINED
-            others, other_ious = others[explain], other_ious[explain]
-            registered, ious = np.concatenate([registered, others]), np.concatenate([ious, other_ious])
+        registered, ious = map(np.concatenate, zip(*found, strict=True))
         kept = suppress_non_maxima(
             registered, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely
         )
-    return FoundTogether(registered[kept], ious[kept], [groups[0] for groups in proposed])
+    return FoundTogether(registered[kept], ious[kept])
+
+
+def _propose(
+    views: Sequence[View], searches: Sequence[PlaceSearch], seen: Sequence[Prior | None], numbers: Sequence[int]
+) -> Poses:
+    """Return the rotated places most similar to some touches as poses (K, 4, 4), metres, in the first sensor's frame.
+
+    `seen` are the prior as seen from each touch, and `numbers` those of the touches.
+    """
+    poses = []
+    for number in numbers:
+        back, search = invert(views[number].T_sensor_first), searches[number]
+        groups = search.propose(views[number].touch, search.options.candidates_together, seen[number])
+        poses += [back @ some for some, _ in groups]
+    return np.concatenate(poses)
 
 
 def _register_in_batches(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
