@@ -21,10 +21,11 @@ import numpy as np
 import pytest
 import trimesh
 from cli_helpers import HANGS_S, Cli, command
+from extras import find_missing_cause, find_missing_library
 from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_recall, write_run, write_sweep
 from tactile_loc_cli import console
 from tactile_loc_cli.main import app
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from tactile_loc.core.geometry.rigid import make_translation
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
@@ -65,6 +66,26 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     size = Counter(item.path for item in items)
     rank = {path: number for number, path in enumerate(sorted(size, key=lambda path: -size[path]))}
     items.sort(key=lambda item: (item.path.parent != STORE, item.path not in slow, rank[item.path]))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+    """Skip a file that imports a library of an extra that is not installed."""
+    report = yield
+    if report.outcome == "failed" and (missing := find_missing_library(str(report.longrepr))):
+        report.outcome, report.longrepr = "skipped", (str(collector.path), 0, f"Skipped: {missing} is not installed")
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> Iterator[None]:
+    """Skip a test that fails because a library of an extra is not installed."""
+    report = yield
+    if call.excinfo is not None and report.outcome == "failed":
+        missing = find_missing_cause(call.excinfo.value)
+        if missing is not None:
+            report.outcome, report.longrepr = "skipped", (str(item.path), 0, f"Skipped: {missing} is not installed")
+    return report
 
 
 def pytest_collection() -> None:
@@ -176,7 +197,19 @@ def cli(store_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     """Run the command in this process, in an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("TACTILE_LOC_STORE", str(store_folder))
-    return lambda *words: CliRunner().invoke(app, [*map(str, words)], prog_name="tactile-loc")
+
+    def invoke(*words: object) -> Result:
+        done = CliRunner().invoke(app, [*map(str, words)], prog_name="tactile-loc")
+        skip_if_missing(done.exit_code, done.stderr)
+        return done
+
+    return invoke
+
+
+def skip_if_missing(code: int, stderr: str) -> None:
+    """Skip the test if a command ended because a library of an extra is not installed."""
+    if code and (missing := find_missing_library(stderr)):
+        pytest.skip(f"{missing} is not installed")
 
 
 @pytest.fixture
@@ -188,7 +221,9 @@ def run_process(store_folder: Path, tmp_path: Path) -> Callable[..., subprocess.
         if processes > 1:
             line[1:1] = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
         variables = {**os.environ, "TACTILE_LOC_STORE": str(store_folder), **environment}
-        return subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=HANGS_S)
+        done = subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=HANGS_S)
+        skip_if_missing(done.returncode, done.stderr)
+        return done
 
     return run
 

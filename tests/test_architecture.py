@@ -25,6 +25,20 @@ FILE_ACCESS = {
     "loadtxt", "savetxt", "mkdir", "unlink", "rename", "replace_file", "rmtree", "memmap", "NamedTemporaryFile",
 }  # fmt: skip
 
+UNIX_MODULES = {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}
+UNIX_NAMES = {
+    *(f"os.{name}" for name in (
+        "O_DIRECTORY", "O_NOFOLLOW", "fork", "forkpty", "geteuid", "getloadavg", "getuid", "killpg", "mkfifo", "pread",
+        "pwrite", "sched_getaffinity", "setsid", "statvfs", "sysconf", "uname", "wait", "waitpid",
+    )),
+    *(f"signal.{name}" for name in ("SIGALRM", "SIGHUP", "SIGKILL", "SIGUSR1", "alarm", "pause", "setitimer")),
+}  # fmt: skip
+# What is used only where the system has it.
+GUARDED = {
+    "tactile_loc/store/locks.py": {"os.O_DIRECTORY"},
+    "tactile_loc/evaluation/workers.py": {"os.sched_getaffinity"},
+    "plugins_contrib/tactile-loc-app/tactile_loc_app/chosen_camera.py": {"/dev/"},
+}
 CORE_FILE_ACCESS = {
     "code_cache.py": {"mkdir", "read_bytes", "rmtree"}  # compiled code
 }
@@ -79,6 +93,27 @@ def test_the_plugin_module_imports_no_other_package():
 
 def test_core_imports_no_rendering_or_learning_library():
     assert not {"torch", "open3d", "pyrender", "matplotlib", "faiss"} & set(packages.libraries_imported()["core"])
+
+
+def find_unportable(tree: ast.AST) -> set[str]:
+    """Return the modules, functions and paths that a source uses and that Windows does not have."""
+    nodes = list(ast.walk(tree))
+    imported = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    imported |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+    used = {f"{node.value.id}.{node.attr}" for node in nodes if isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)}  # fmt: skip
+    texts = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    paths = {text for text in texts if text.startswith(("/proc", "/dev/", "/tmp", "/sys/"))}
+    return imported & UNIX_MODULES | used & UNIX_NAMES | paths
+
+
+def test_only_guarded_modules_use_what_windows_does_not_have():
+    sources = [path for folder in ("tactile_loc", "cli", "plugins_contrib") for path in (ROOT / folder).rglob("*.py")]
+    found = {path: find_unportable(ast.parse(path.read_text("utf-8"))) for path in sources if "tests" not in path.parts}
+    assert {path.relative_to(ROOT).as_posix(): names for path, names in found.items() if names} == GUARDED
+    assert find_unportable(ast.parse("import fcntl\nos.fork()\nopen('/proc/meminfo')\nkill(signal.SIGKILL)")) == {
+        "fcntl", "os.fork", "/proc/meminfo", "signal.SIGKILL"
+    }  # fmt: skip
 
 
 def test_core_accesses_no_files():

@@ -156,6 +156,7 @@ def test_inverted_scores_locate_the_wrong_pose(grid, box, shared_store, monkeypa
 
 @pytest.mark.parametrize("grid", OPTIONS["grid"])
 def test_a_matcher_without_weights_locates_with_every_grid(grid, box, shared_store, monkeypatch):
+    pytest.importorskip("open3d")
     combination = {**ROWS[0], "grid": grid, "encoder": "pixel", "matcher": "listed"}
     make_smaller(combination, monkeypatch)
     row = bench.try_combination(combination, box, shared_store)

@@ -59,6 +59,7 @@ def installed_closure(root: str, extras: frozenset[str]) -> dict[str, str]:
 
 
 def test_constraints_pin_every_installed_dependency():
+    pytest.importorskip("open3d", reason="the extras are not installed")
     closure = installed_closure(PROJECT, frozenset({"dev", "mutate"}))
     installed = {name: Version(version).public for name, version in closure.items()}
     assert {"numpy", "open3d-cpu", "pytest", "kiwisolver"} <= installed.keys()  # runtime, dev and transitive ones

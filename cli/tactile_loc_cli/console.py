@@ -186,7 +186,7 @@ def is_shown(level: int) -> bool:
 @contextmanager
 def hide_results() -> Iterator[None]:
     """Discard everything that the block writes to stdout."""
-    with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
         yield
 
 

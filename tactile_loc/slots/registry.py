@@ -15,7 +15,7 @@ import re
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
@@ -28,7 +28,6 @@ from tactile_loc.core.runtime.errors import (
     MissingLibraryError,
     PluginConflictError,
     PluginLoadError,
-    TactileLocError,
     UnknownPluginError,
     advise_choice,
 )
@@ -266,26 +265,23 @@ class Registry:
         kind: type[Any] = self._classes[found.spec]
         return kind
 
-    def explain_missing(self, offer: Offer) -> str:
-        """Return what a component or a command lacks and how to install it, or "" if its library is installed.
-
-        Only what states a library in `requires` is tried. It is imported only if that library is not installed.
-        """
-        spec = offer.spec
-        if not spec.requires or all(map(_is_installed, _list_requirements(spec.requires))):
-            return ""
-        try:
-            self.load(spec.slot, spec.name) if spec.slot != COMMAND else import_target(offer)
-        except MissingLibraryError as error:
-            return str(error)
-        except TactileLocError:  # the package is broken, which another message reports
-            return ""
-        return ""
-
     def create(self, slot: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
         """Return a component with validated options. Raises ConfigError for unknown or invalid options."""
         kind = self.load(slot, name)
         return kind(validate_options(kind.Options, options or {}, f"the {slot} {name!r}"))
+
+
+def explain_missing(offer: Offer) -> str:
+    """Return which library a component or a command lacks and how to install it, or "". Nothing is imported.
+
+    Only the libraries of `requires` are looked up.
+    """
+    spec = offer.spec
+    lacking = [name for name in _list_requirements(spec.requires) if not _is_installed(name)] if spec.requires else []
+    if not lacking:
+        return ""
+    line = f"pip install {shlex.quote(spec.requires)}"
+    return f"the {spec.slot} {spec.name!r} needs {' and '.join(lacking)}, which is not installed: {line}"
 
 
 def _list_requirements(text: str) -> list[str]:
@@ -300,15 +296,17 @@ def _list_requirements(text: str) -> list[str]:
         return [name]
     added = [Requirement(line) for line in metadata.requires(name) or []]
     chosen = [one for one in added if one.marker and any(one.marker.evaluate({"extra": extra}) for extra in extras)]
-    return [part for one in chosen for part in _list_requirements(str(one).partition(";")[0])]
+    return list(dict.fromkeys(part for one in chosen for part in _list_requirements(str(one).partition(";")[0])))
 
 
 def _is_installed(distribution: str) -> bool:
-    try:
-        metadata.version(distribution)
-    except metadata.PackageNotFoundError:
-        return False
-    return True
+    """Return whether a distribution is installed, in any of its builds, such as faiss-cpu and faiss-gpu."""
+    stem = distribution.removesuffix("-cpu")
+    for name in (stem, f"{stem}-cpu", f"{stem}-gpu"):
+        with suppress(metadata.PackageNotFoundError):
+            metadata.version(name)
+            return True
+    return False
 
 
 def import_target(found: Offer) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from numpy.typing import NDArray
 
 from tactile_loc.core.runtime.errors import StoreError
@@ -21,7 +21,6 @@ from tactile_loc.store.keys import StageKey, hash_file, hash_json
 MANIFEST = "manifest.json"
 _FORMAT = 1
 _MEMBER = "array"  # name of the array in a packed file, which is an ordinary npz
-_MEMORY_BYTES = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")  # of this machine
 
 
 class DamagedError(StoreError):
@@ -122,7 +121,7 @@ def read_packed(path: Path) -> NDArray[Any]:
     Raises OSError when the file cannot be opened, and ValueError when it holds no packed array, or one that is larger
     than this machine's memory.
     """
-    arrays = load_npz(path, (_MEMBER,), _MEMORY_BYTES)
+    arrays = load_npz(path, (_MEMBER,), psutil.virtual_memory().total)
     if not arrays:
         raise ValueError("it holds no packed array")
     return arrays[_MEMBER]
@@ -139,7 +138,7 @@ def write_manifest(path: Path, key: StageKey, files: Mapping[str, FileRecord]) -
         "files": {name: {"size": record.size, "sha256": record.sha256} for name, record in files.items()},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    path.write_text(json.dumps({**manifest, "sha256": hash_json(manifest)}, sort_keys=True, indent=1) + "\n")
+    path.write_text(json.dumps({**manifest, "sha256": hash_json(manifest)}, sort_keys=True, indent=1) + "\n", "utf-8")
 
 
 def read_artifact(folder: Path) -> Artifact:

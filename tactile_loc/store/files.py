@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import glob
 import hashlib
 import json
 import os
 import re
 import shutil
+import sys
 import tempfile
 import uuid
 from collections.abc import Callable, Container, Iterator
@@ -19,6 +19,8 @@ from typing import Any
 
 from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.core.runtime.formatting import is_unicode, show_bytes
+from tactile_loc.store import locks
+from tactile_loc.store.locks import is_at, lock, open_folder
 
 _TEMPORARY = ".tmp-"
 LONGEST_NAME = 200  # bytes of a name to which letters are added; file systems allow 255
@@ -85,10 +87,36 @@ def remove_abandoned(folder: Path, names: str = "*") -> None:
     """
     for pattern in (f"{_TEMPORARY}new-{names}", f"{_TEMPORARY}{'[0-9a-f]' * 32}-{names}"):
         for left in folder.glob(pattern):
-            with suppress(OSError), _open_folder(left) as descriptor:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # fails if in use, or if locks are unsupported
-                if _is_at(left, descriptor):
-                    delete(left)  # under the lock, so that no process begins to use the folder
+            with suppress(OSError):
+                _delete_abandoned(left)
+
+
+def _delete_abandoned(folder: Path) -> None:
+    """Delete a temporary folder, unless a process uses it. Raises OSError if the file system has no locks."""
+    descriptor = open_folder(folder)
+    try:
+        abandoned = lock(descriptor, wait=False) and is_at(folder, descriptor)
+    except OSError:
+        os.close(descriptor)
+        raise
+    if abandoned:
+        _delete_locked(folder, descriptor)
+    else:
+        os.close(descriptor)
+
+
+def _delete_locked(folder: Path, descriptor: int) -> None:
+    """Delete a locked folder, and release its lock afterwards, so that no process begins to use the folder.
+
+    Windows must release it before. There, folders with locks have unique names, so no process makes such a folder anew.
+    """
+    if not locks.OPENS_FOLDERS:
+        os.close(descriptor)
+    try:
+        delete(folder)
+    finally:
+        if locks.OPENS_FOLDERS:
+            os.close(descriptor)
 
 
 def is_unfinished(path: Path) -> bool:
@@ -167,8 +195,14 @@ def delete(path: Path) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Sync a folder's list of files to the disk, if the file system supports this."""
-    with suppress(OSError), _open_folder(folder) as descriptor:
-        os.fsync(descriptor)
+    if not locks.OPENS_FOLDERS:
+        return
+    with suppress(OSError):
+        descriptor = open_folder(folder)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def require_writable(folder: Path) -> None:
@@ -215,15 +249,16 @@ def guard_output(path: Path) -> Iterator[None]:
 def lock_folder(folder: Path) -> Iterator[None]:
     """Lock a folder until the block ends. Other processes that lock the folder wait.
 
-    A process can thus write several files that belong together. The folder is made if needed, and no file is put there.
+    A process can thus write several files that belong together. The folder is made if needed. No file is put there,
+    except on Windows.
     If the file system does not support locks, processes do not wait. Raises OutputError when the folder cannot be made.
     """
     with guard_output(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        descriptor = open_folder(folder)
     try:
         with suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            lock(descriptor, wait=True)
         yield
     finally:
         os.close(descriptor)
@@ -247,22 +282,23 @@ def _make_folder_beside(path: Path) -> Iterator[Path]:
     """Yield an empty folder beside `path`. The folder is locked until the block ends, and then removed.
 
     The folder usually has the same name for the same `path`. Leftovers of a killed process are therefore found without
-    listing all files, which would be slow in a folder of many files.
+    listing all files, which would be slow in a folder of many files. On Windows, each folder has its own name (see
+    `_delete_locked`).
     """
     name = shorten_name(path.name)
     folder = path.with_name(f"{_TEMPORARY}new-{name}")
-    descriptor = _claim(folder)
+    descriptor = _claim(folder) if locks.OPENS_FOLDERS else None
     while descriptor is None:  # another process uses the folder, or was killed
         remove_abandoned(path.parent, glob.escape(name))
-        folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{name}") if os.path.lexists(folder) else folder
+        if os.path.lexists(folder) or not locks.OPENS_FOLDERS:
+            folder = path.with_name(f"{_TEMPORARY}{uuid.uuid4().hex}-{name}")
         descriptor = _claim(folder)
     try:
         with _raise_by_number():
             yield folder
     finally:
         with suppress(OSError):
-            delete(folder)
-        os.close(descriptor)
+            _delete_locked(folder, descriptor)
 
 
 @contextmanager
@@ -287,23 +323,15 @@ def _claim(folder: Path) -> int | None:
     except FileExistsError:
         return None
     try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        descriptor = open_folder(folder)
     except FileNotFoundError:
         return None
     with suppress(OSError):  # a file system without locks
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-    if _is_at(folder, descriptor):
+        lock(descriptor, wait=True)
+    if is_at(folder, descriptor):
         return descriptor
     os.close(descriptor)
     return None
-
-
-def _is_at(folder: Path, descriptor: int) -> bool:
-    """Return whether `folder` is still the path of the open folder `descriptor`."""
-    try:
-        return os.path.samestat(folder.stat(), os.fstat(descriptor))
-    except OSError:
-        return False
 
 
 def _name_aside(path: Path) -> Path:
@@ -324,21 +352,14 @@ def _swap(new: Path, path: Path) -> None:
 
 def _exchange(one: Path, other: Path) -> bool:
     """Try to exchange two paths in one step, as Linux can on most file systems. Return whether that succeeded."""
+    if sys.platform != "linux":
+        return False
     here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError):
         return False
     return renameat2(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
-
-
-@contextmanager
-def _open_folder(folder: Path) -> Iterator[int]:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        yield descriptor
-    finally:
-        os.close(descriptor)
 
 
 def _sync_tree(folder: Path) -> None:

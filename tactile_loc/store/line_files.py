@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from typing import IO
 
 from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.store.files import guard_output
+from tactile_loc.store.locks import lock
 
 LONGEST = 1_000_000  # largest length of a line, bytes
 
@@ -23,10 +23,12 @@ def open_locked(path: Path) -> IO[bytes]:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("a+b")
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
+        free = lock(file.fileno(), wait=False)
+    except OSError:  # a file system without locks
+        free = True
+    if not free:
         file.close()
-        raise OutputError(f"{path} is used by another process; wait for it, or choose another `out`") from error
+        raise OutputError(f"{path} is used by another process; wait for it, or choose another `out`")
     return file
 
 
@@ -60,7 +62,8 @@ def _end_last_line(descriptor: int) -> None:
     """End the last line with a line break, or remove the line if it is not JSON."""
     size = os.fstat(descriptor).st_size
     start = max(0, size - LONGEST)
-    last = os.pread(descriptor, size - start, start).rpartition(b"\n")[2]
+    os.lseek(descriptor, start, os.SEEK_SET)
+    last = os.read(descriptor, size - start).rpartition(b"\n")[2]
     if not last:
         return
     try:

@@ -52,7 +52,10 @@ def open_journal(path: Path, source: ReplaySource) -> Iterator[Journal]:
             yield kept
         finally:
             if not any(record.T_frame_object is not None for record in kept.records):
-                path.unlink()
+                try:
+                    path.unlink()
+                except PermissionError:  # Windows deletes no open file
+                    file.truncate(0)
 
 
 def make_replay_key(source: ReplaySource) -> str:

@@ -95,6 +95,7 @@ def test_all_new_components_locate_an_object_together(site, tmp_path):
 
 
 def test_ruff_accepts_packages_with_names_of_any_length(tmp_path):
+    pytest.importorskip("ruff")
     folders = []
     for name in ("a", "x" * LONGEST, "-".join("abcdefghij1234")):
         for slot in registry().kinds:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import fcntl
 import json
 import os
 import re
@@ -28,20 +27,18 @@ from tactile_loc.locate.result import result_arrays
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Outcome, Verdict, explain_verdict
 from tactile_loc.plugins.grids.face import find_resting_normal
+from tactile_loc.store.locks import lock, open_folder
 
 ROOT = Path(__file__).parents[2]
 
 
 def is_locked(folder: Path) -> bool:
     """Return whether another process holds the lock of a folder."""
-    descriptor = os.open(folder, os.O_RDONLY)
+    descriptor = open_folder(folder)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
+        return not lock(descriptor, wait=False)
     finally:
         os.close(descriptor)
-    return False
 
 
 @pytest.fixture(scope="module")

@@ -45,7 +45,7 @@ def hook(name: str, module: str, requires: str = "") -> str:
 def test_a_missing_library_is_reported_with_its_install_command(install, run_process):
     site = install("far-away", hook("far", "far_away", "faraway-lib"), "import faraway")
     listed = " ".join(run_process("plugins", "refiner", PYTHONPATH=site).stdout.split())
-    assert not missing(listed, "refiner far far-away", "'far' needs faraway", "pip install faraway-lib")
+    assert not missing(listed, "refiner far far-away", "'far' needs faraway-lib", "pip install faraway-lib")
     done = run_process("run", *TINY, "--refiner", "far", PYTHONPATH=site)
     assert_one_error(done.stderr, done.returncode, "'far'", "faraway", "pip install faraway-lib")
 

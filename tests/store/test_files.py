@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from kill_steps import killed_at_every_step
 from message_helpers import naming
 
 from tactile_loc.core.runtime.errors import OutputError
-from tactile_loc.store import files
+from tactile_loc.store import files, locks
 from tactile_loc.store.files import (
     link_plainly,
     list_files,
@@ -24,6 +25,27 @@ from tactile_loc.store.files import (
     write_json,
     write_text,
 )
+
+
+@pytest.fixture(params=["here", "windows"])
+def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The system of this machine, or one that, like Windows, opens no folders and deletes no open files."""
+    delete = os.unlink
+
+    def refuse_open_files(path: Path, *, dir_fd: int | None = None) -> None:
+        there = os.lstat(path, dir_fd=dir_fd)
+        for descriptor in range(3, 64):
+            with suppress(OSError):
+                if os.path.samestat(os.fstat(descriptor), there):
+                    break
+        else:
+            return delete(path, dir_fd=dir_fd)
+        raise PermissionError(13, "Permission denied", str(path))
+
+    if request.param == "windows":
+        monkeypatch.setattr(locks, "OPENS_FOLDERS", False)
+        monkeypatch.setattr(os, "unlink", refuse_open_files)
+    return request.param
 
 
 def test_a_possible_folder_is_accepted_and_not_created(tmp_path):
@@ -96,7 +118,7 @@ def test_json_is_written_readably_and_read_back(tmp_path):
         assert read_json(path) == {"a": "ü"}
 
 
-def test_a_killed_process_leaves_the_old_or_the_new_file_and_the_next_write_cleans_up(tmp_path):
+def test_a_killed_process_leaves_the_old_or_the_new_file_and_the_next_write_cleans_up(tmp_path, system):
     path, seen, left = tmp_path / "a.txt", [], 0
     path.write_text("old")
     for _ in killed_at_every_step(lambda: write_atomically(path, lambda p: p.write_text("new"))):
@@ -108,7 +130,7 @@ def test_a_killed_process_leaves_the_old_or_the_new_file_and_the_next_write_clea
     assert left > 3
 
 
-def test_a_write_does_not_affect_another_process_at_the_same_file(tmp_path):
+def test_a_write_does_not_affect_another_process_at_the_same_file(tmp_path, system):
     path = tmp_path / "a.txt"
     with files.replace_file(path) as slow:
         slow.write_text("slow")
@@ -119,7 +141,7 @@ def test_a_write_does_not_affect_another_process_at_the_same_file(tmp_path):
     assert names(tmp_path) == ["a.txt"]
 
 
-def test_only_remains_of_killed_processes_are_removed(tmp_path):
+def test_only_remains_of_killed_processes_are_removed(tmp_path, system):
     (tmp_path / ".tmp-new-a.txt").mkdir()
     (tmp_path / f".tmp-{'0' * 32}-b.txt").mkdir()
     (tmp_path / f".tmp-{'0' * 32}-b.txt" / "b.txt").touch()
@@ -135,7 +157,7 @@ def test_only_remains_of_killed_processes_are_removed(tmp_path):
     remove_abandoned(tmp_path / "none")
 
 
-def test_a_lock_gives_exclusive_access_to_a_folder(tmp_path):
+def test_a_lock_gives_exclusive_access_to_a_folder(tmp_path, system):
     folder, seen = tmp_path / "new" / "folder", []
 
     def write(number):
@@ -148,7 +170,7 @@ def test_a_lock_gives_exclusive_access_to_a_folder(tmp_path):
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(write, range(8)))
     assert sorted(map(sorted, seen)) == [[str(number)] for number in range(8)]
-    assert sorted(names(folder)) == ["a", "b"]
+    assert sorted(names(folder)) == ([locks.IN_FOLDER] if system == "windows" else []) + ["a", "b"]
 
 
 NAMES = ("a.txt", "deep/b.txt")

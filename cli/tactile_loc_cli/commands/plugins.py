@@ -69,6 +69,8 @@ def plugins(
 
 
 def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
+    from tactile_loc.slots.registry import explain_missing
+
     if slot is not None:
         require_slot(slot)
     shown = [c for s in found.kinds for c in found.offers if c.spec.slot == s and slot in (None, s)]
@@ -83,18 +85,13 @@ def _show_components(found: Registry, slot: str | None) -> dict[str, Any]:
         _say_interface(component)
     for f in failures:
         say(f"not loaded: {f['plugin']} of {f['distribution']}: {f['error']}")
-    missing = _find_missing(found, shown)
-    for reason in missing.values():
-        say(f"to install: {reason}")
+    missing = [{"slot": c.spec.slot, "name": c.spec.name, "reason": explain_missing(c)} for c in shown]
+    missing = [row for row in missing if row["reason"]]
+    for row in missing:
+        say(f"not installed: {row['reason']}")
     commands = [row for row in rows if row["slot"] == COMMAND]
-    missed = [{"slot": c.spec.slot, "name": c.spec.name, "reason": reason} for c, reason in missing.items()]
-    found_out = {"conflicts": conflicts, "not_loaded": failures, "not_installed": missed}
+    found_out = {"conflicts": conflicts, "not_loaded": failures, "not_installed": missing}
     return {"components": components, "commands": commands, **found_out}
-
-
-def _find_missing(found: Registry, shown: Sequence[Offer]) -> dict[Offer, str]:
-    """Return the components and commands whose library is missing, and how to install it."""
-    return {offer: reason for offer in shown if (reason := found.explain_missing(offer))}
 
 
 def _describe(offer: Offer) -> dict[str, Any]:

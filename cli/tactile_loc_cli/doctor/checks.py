@@ -20,6 +20,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc_cli.console import format_count
 
@@ -284,7 +286,7 @@ def _name_system() -> str:
 def _check_machine() -> list[Diagnosis]:
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
-    nbytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    nbytes = psutil.virtual_memory().total
     says = f"{format_count(cores, 'CPU core')}, {nbytes / 1e9:.3g} GB of memory"
     return [Diagnosis("machine", State.OK, says, facts={"cores": cores, "memory_bytes": nbytes})]
 

@@ -18,6 +18,8 @@ from tactile_loc.io.meshes.step_files import DEVIATION_MM
 from tactile_loc.locate.stored_object import load_stored_object
 from tactile_loc.store.store import StageStore
 
+pytest.importorskip("cascadio")
+
 SHAPES = Path(__file__).parent / "step"  # a box of 30 x 20 x 10 mm, and a rod of 8 mm radius, in several units
 BOX = SHAPES / "box-mm.step"
 

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -165,7 +166,7 @@ def test_a_missing_gpu_is_refused(problem, monkeypatch):
 
 
 def test_a_grid_too_large_for_memory_is_refused_with_the_memory_it_needs(problem, monkeypatch):
-    monkeypatch.setattr(module, "_find_available_bytes", lambda: 1000)
+    monkeypatch.setattr(module.psutil, "virtual_memory", lambda: SimpleNamespace(available=1000))
     with pytest.raises(GridError, match=naming("GiB", "encoder.negatives", "encoder.batch", "grid.spacing_mm")):
         make().fit(problem)
 

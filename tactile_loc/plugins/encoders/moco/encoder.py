@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import numba
 import numpy as np
+import psutil
 import torch
 from numpy.typing import NDArray
 from pydantic import Field, JsonValue
@@ -213,18 +214,9 @@ def _reset_threads() -> None:
 
 def _require_memory(recipe: Recipe, poses: int) -> None:
     """Raise GridError when scores and keys do not fit into the machine's memory."""
-    needed, free = recipe.bytes_needed(poses), _find_available_bytes()
+    needed, free = recipe.bytes_needed(poses), psutil.virtual_memory().available
     if needed > 0.8 * free:
         raise GridError(
             f"training on {poses} poses needs about {needed / 2**30:.1f} GiB of memory, but {free / 2**30:.1f} are "
             "free; set encoder.negatives (such as 16384), a smaller encoder.batch, or a larger grid.spacing_mm"
         )
-
-
-def _find_available_bytes() -> int:
-    """Return the available memory, bytes, on Linux, and the total memory on other systems."""
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-    except OSError:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable"))
