@@ -37,6 +37,7 @@ UNIX_NAMES = {
 GUARDED = {
     "tactile_loc/store/locks.py": {"os.O_DIRECTORY"},
     "tactile_loc/evaluation/workers.py": {"os.sched_getaffinity"},
+    "tactile_loc/io/streams/cameras.py": {"/dev/v4l/by-id"},
     "plugins_contrib/tactile-loc-app/tactile_loc_app/chosen_camera.py": {"/dev/"},
 }
 CORE_FILE_ACCESS = {

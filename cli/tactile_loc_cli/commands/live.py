@@ -39,7 +39,8 @@ Source = Annotated[
     ),
 ]
 CameraOption = Annotated[
-    str | None, declare("--camera N", "Use a camera: its number, from 0, or its device, such as /dev/video2.")
+    str | None,
+    declare("--camera N", "Use a camera: its number, from 0, its device, such as /dev/video2, or its serial number."),
 ]
 Once = Annotated[
     bool, declare("--once", "Locate every frame already in the folder or video, then exit; not with --camera.")

@@ -254,6 +254,7 @@ def examine(store: Path | None, workers: int = 4, compiling: bool = False) -> li
     probes = [
         Probe("versions", _check_versions, required=True),
         Probe("machine", _check_machine),
+        Probe("cameras", _check_cameras),
         *(Probe(library.module, partial(_check_library, library), library.required) for library in LIBRARIES),
         Probe("system libraries", check_shared_libraries),
         Probe("plugins", _check_plugins, required=True),
@@ -289,6 +290,13 @@ def _check_machine() -> list[Diagnosis]:
     nbytes = psutil.virtual_memory().total
     says = f"{format_count(cores, 'CPU core')}, {nbytes / 1e9:.3g} GB of memory"
     return [Diagnosis("machine", State.OK, says, facts={"cores": cores, "memory_bytes": nbytes})]
+
+
+def _check_cameras() -> list[Diagnosis]:
+    from tactile_loc.io.streams.cameras import list_cameras
+
+    found = list_cameras()
+    return [Diagnosis("cameras", State.OK, ", ".join(found), facts={"cameras": found})] if found else []
 
 
 def _check_library(library: Dependency) -> list[Diagnosis]:

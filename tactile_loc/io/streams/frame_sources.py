@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.runtime.errors import MissingLibraryError, SourceError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.images import read_colour_image
+from tactile_loc.io.streams.cameras import find_device
 from tactile_loc.io.streams.videos import TO_READ, read_video, read_video_facts
 from tactile_loc.io.touches import list_touches, read_contents, read_touch, touch_from_image
 from tactile_loc.slots.sensor import SensorModel
@@ -127,7 +128,7 @@ class _Followed(FrameSource):
 
 
 class Camera(_Followed):
-    """A camera that OpenCV opens by a number or a device name. It yields the newest frame each time."""
+    """A camera that OpenCV opens, given as in `find_device`. It yields the newest frame each time."""
 
     def __init__(self, device: str) -> None:
         super().__init__(f"camera {device}")
@@ -144,7 +145,8 @@ class Camera(_Followed):
             raise MissingLibraryError(
                 "cameras are read with OpenCV, which is not installed: pip install 'tactile-loc[camera]'"
             ) from error
-        found = cv2.VideoCapture(int(self.device) if self.device.isdigit() else self.device)
+        device = find_device(self.device)
+        found = cv2.VideoCapture(int(device) if device.isdigit() else device)
         if not found.isOpened():
             found.release()
             raise SourceError(
