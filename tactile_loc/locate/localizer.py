@@ -28,7 +28,7 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.touches import read_touch
 from tactile_loc.locate.method import LocatingMethod, Query, Refinement
-from tactile_loc.locate.outliers import localize_agreeing, require_within_reach
+from tactile_loc.locate.outliers import localize_agreeing, localize_by_likeliest_law, require_within_reach
 from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.result.hypothesis import JudgedHypothesis
 from tactile_loc.locate.result.localization import Localization
@@ -325,7 +325,7 @@ def _answer(
     """
     query = replace(query, coverage=_choose_coverage(observations, coverage))
     method = make_method([localizer for localizer, _ in observations])
-    found = require_pose_left(localize_agreeing(query, method, scored))
+    found = require_pose_left(localize_by_likeliest_law(query, method, scored))
     if query.prior is None or found.verdict in (Verdict.CERTAIN, Verdict.AMBIGUOUS):
         return found
     alone = localize_agreeing(replace(query, prior=None, coverage=None), method)

@@ -36,7 +36,8 @@ class Query:
 
     Poses are in the first touch's sensor frame. The `prior` is over these poses. At least `top` hypotheses are
     refined, and `top` are listed, or as many as contain the true pose with the probability `coverage`. The poses
-    `starts` (K, 4, 4), metres, are refined in any case. The duration of each stage is added to `times`.
+    `starts` (K, 4, 4), metres, are refined in any case. The duration of each stage is added to `times`. `outlined` is
+    the query by the law of the gel that knows the contact's outline best, if the touches are read by several laws.
     """
 
     views: Sequence[View]
@@ -45,11 +46,23 @@ class Query:
     coverage: float | None = None
     starts: Poses | None = None
     times: StageTimes = field(default_factory=StageTimes)
+    outlined: Sequence[Query] = ()
 
     @property
     def touches(self) -> list[Touch]:
         """The touches, in their order."""
         return [view.touch for view in self.views]
+
+    def read_otherwise(self) -> list[Query]:
+        """Return the query, and the query by each other law of the gels: see `Touch.read_otherwise`."""
+        each, queries = [touch.read_otherwise() for touch in self.touches], [self]
+        for law in range(max(map(len, each))):
+            views = []
+            for view, others in zip(self.views, each, strict=True):
+                touch = others[min(law, len(others) - 1)] if others else view.touch
+                views.append(replace(view, touch=touch, scene=view.scene.match_touch(touch)))
+            queries.append(replace(self, views=views))
+        return [replace(query, outlined=queries[1:2]) for query in queries]
 
     def leave_out(self, outliers: Collection[int]) -> Query:
         """Return the query without some touches, in the sensor frame of the first of the others."""
@@ -61,7 +74,7 @@ class Query:
             T_before_first = invert(np.asarray(before.T_base_sensor)) @ np.asarray(first.T_base_sensor)
             prior = None if prior is None else SeenFrom(prior, T_before_first)
             starts = None if starts is None else invert(T_before_first) @ starts
-        return replace(self, views=views, prior=prior, starts=starts)
+        return replace(self, views=views, prior=prior, starts=starts, outlined=())
 
 
 @dataclass(frozen=True)

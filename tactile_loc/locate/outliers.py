@@ -29,6 +29,28 @@ ALONE = 8  # poses that are refined against one touch alone
 Hypotheses = tuple[Hypothesis, ...]
 
 
+def localize_by_likeliest_law(
+    query: Query, method: LocatingMethod, scored: Scored | None = None
+) -> Localization | NoPoseLeft:
+    """Locate the touches of a query by each law of the gel by which they were read, and return the likeliest result.
+
+    The law is a nuisance parameter. The likeliest result explains the touches with the greatest imprint IoU. Each law
+    also refines the best pose of the laws before it.
+    """
+    first, *others = query.read_otherwise()
+    found = localize_agreeing(first, method, scored)
+    for other in others:
+        if isinstance(found, NoPoseLeft):
+            found = localize_agreeing(other, method)
+            continue
+        T = found.best.T_sensor_object[None]
+        starts = T if query.starts is None else np.concatenate([query.starts, T])
+        by_other = localize_agreeing(replace(other, starts=starts), method)
+        if not isinstance(by_other, NoPoseLeft) and by_other.best.imprint_iou > found.best.imprint_iou:
+            found = by_other
+    return found
+
+
 def localize_agreeing(query: Query, method: LocatingMethod, scored: Scored | None = None) -> Localization | NoPoseLeft:
     """Locate the touches of a query, and find those that contradict the others.
 

@@ -16,6 +16,7 @@ from tactile_loc.core.registration.prior_factors import fit_prior_factors
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.locate.hypotheses import compare, count_touches_with_depths, merge_hypotheses, turn_half_steps, weigh
 from tactile_loc.locate.method import LocatingMethod, Query
+from tactile_loc.locate.polish import polish
 from tactile_loc.locate.probability.conformal import PoseSet, Ranking
 from tactile_loc.locate.probability.evidence import Evidence, Question, gather_evidence
 from tactile_loc.locate.probability.outcome_model import load_outcome_model, spread_outcome
@@ -67,7 +68,14 @@ def weigh_modes(
         weighed = weigh(compared, count, metric, prior)
         if turned := turn_half_steps(weighed[0], metric):
             weighed = weigh([*weighed, *compare(query.views, turned, outliers)], count, metric, prior)
-        return merge_hypotheses(weighed, metric, method.source.setup.merge_radius_m, method.config.tolerance)
+        radius_m, tolerance = method.source.setup.merge_radius_m, method.config.tolerance
+        merged = merge_hypotheses(weighed, metric, radius_m, tolerance)
+        refines = method.refinement.refiner.capabilities.refines
+        if len(query.views) > 1 or query.views[0].touch.image is None or not refines:
+            return merged
+        others = [other.views[0] for other in query.outlined if other.views[0] is not trusted[0]]
+        polished = weigh(polish([*trusted, *others], merged), count, metric, prior)
+        return merge_hypotheses(polished, metric, radius_m, tolerance)
 
 
 def conclude(query: Query, method: LocatingMethod, solution: Solution) -> Localization:

@@ -75,7 +75,7 @@ def _draw_reading(
     """Draw a press into four panels: the image, the known and the estimated indentation, and their profiles."""
     extent = compute_extent_mm(estimator.geometry)
     image, label = presses.read_press(number)
-    found_mm = 1e3 * read_gel(estimator, image, estimator.geometry.gel)[0]
+    found_mm = 1e3 * read_gel(estimator, image, estimator.geometry.gel).indentation_m
     known_mm = 1e3 * label.indentation_m
     if not label.absolute:  # its depth has an unknown offset: take the offset from the estimate
         known_mm = np.where(label.contact, known_mm + (found_mm - known_mm)[label.contact].mean(), known_mm)

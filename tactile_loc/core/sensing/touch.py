@@ -46,6 +46,10 @@ class ContactShape:
 
     If `depths_known` is False, the sensor knows only which pixels are in contact: see `Touch.from_mask`. The depth is
     then 0 at pixels in contact.
+
+    `touching` (H, W) marks where an elastic gel touches the object, if the sensor knows; None leaves it to the gel's
+    mechanics. If a sensor's gel was measured, `otherwise` are shapes of the same image by other laws of the gel, each
+    with its gel. Only whole shapes have them: they are left out when a shape is cut or thinned.
     """
 
     depth_m: Depth
@@ -53,6 +57,8 @@ class ContactShape:
     indentation_m: float | None = None
     indentation_std_m: float = 0.0
     depths_known: bool = True
+    touching: NDArray[np.bool_] | None = None
+    otherwise: tuple[tuple[Gel, ContactShape], ...] = ()
 
     @property
     def contact(self) -> NDArray[np.bool_]:
@@ -61,7 +67,8 @@ class ContactShape:
 
     def subsample(self, step: int) -> ContactShape:
         """Return the shape with every `step`-th pixel. `SensorGeometry.subsample` returns the sensor for this shape."""
-        return dataclasses.replace(self, depth_m=self.depth_m[::step, ::step])
+        touching = None if self.touching is None else self.touching[::step, ::step]
+        return dataclasses.replace(self, depth_m=self.depth_m[::step, ::step], touching=touching, otherwise=())
 
     def contact_iou(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:
         """Return the intersection over union, 0 to 1, of both shapes' contacts over the observed pixels (H, W)."""
@@ -72,7 +79,9 @@ class ContactShape:
         """Return the shape cut at `press_depth_m` metres from full penetration. The indentation does not change."""
         cut_m = min(press_depth_m, self.press_depth_m)
         depth_m = np.minimum(self.depth_m, np.float32(cut_m))
-        return dataclasses.replace(self, depth_m=depth_m, press_depth_m=cut_m, indentation_m=self.deepest_m)
+        return dataclasses.replace(
+            self, depth_m=depth_m, press_depth_m=cut_m, indentation_m=self.deepest_m, otherwise=()
+        )
 
     def assume(self, press_depth_m: float) -> ContactShape:
         """Return a contact mask with another assumed press depth, metres."""
@@ -236,6 +245,19 @@ class Touch:
         depth_m = np.where(contact, np.float32(0), np.float32(press_m))
         return cls(ContactShape(depth_m, press_m, None, std_m, False), geometry, name, **poses)
 
+    def read_otherwise(self) -> list[Touch]:
+        """Return the touch by each other law of the gel by which its image was read; none if it was not measured."""
+        return [
+            dataclasses.replace(self, contact_shape=shape, geometry=dataclasses.replace(self.geometry, gel=gel))
+            for gel, shape in self.contact_shape.otherwise
+        ]
+
+    @property
+    def gel_law(self) -> str:
+        """The law by which the gel is read: "rigid", "layer", or "outlined layer" if the contact's outline is known."""
+        known = self.contact_shape.touching is not None
+        return "outlined layer" if known else self.geometry.gel.kind
+
     @property
     def has_depths(self) -> bool:
         """Whether the touch has depths. Otherwise it has only a contact mask: see `from_mask`."""
@@ -299,7 +321,7 @@ def cut_to_touching(shape: ContactShape, geometry: SensorGeometry) -> ContactSha
 
     pressed_m = shape.deepest_m
     depth_m = np.where(shape.contact & geometry.observed_mask, shape.depth_m, np.float32(pressed_m))
-    touching = find_touching(depth_m, pressed_m, geometry)
+    touching = find_touching(depth_m, pressed_m, geometry) if shape.touching is None else shape.touching
     return ContactShape(np.where(touching, depth_m, np.float32(pressed_m)), pressed_m)
 
 

@@ -93,7 +93,7 @@ def pack_arrays(posterior: PosePosterior, touches: Iterable[Touch], left_out: It
 def _pack_touch(touch: Touch) -> Arrays:
     camera = {f.name: getattr(touch.geometry, f.name) for f in dataclasses.fields(touch.geometry)}
     optional = {"observed": camera.pop("observed"), "relief_m": camera.pop("relief_m"), "image": touch.image}
-    camera["gel"] = touch.geometry.gel.describe()
+    camera["gel"], optional["touching"] = touch.geometry.gel.describe(), touch.contact_shape.touching
     return {
         "depth_m": touch.contact_shape.depth_m,
         "press_depth_m": np.array(touch.press_depth_m),
@@ -147,10 +147,13 @@ def _unpack_touch(document: Any, arrays: Arrays) -> Touch:
         keys["indentation_m"],
         keys["indentation_std_m"],
         keys["depths_known"],
+        arrays.get("touching"),
     )
     image = arrays.get("image")
     if shape.depth_m.shape != geometry.shape:
         raise ValueError("a contact shape does not have the sensor's size")
+    if not (shape.touching is None or (shape.touching.shape == geometry.shape and shape.touching.dtype == bool)):
+        raise ValueError("the pixels that touch the object are not a mask of the sensor's size")
     if not (image is None or (image.ndim == 3 and image.dtype == np.uint8)):
         raise ValueError("a touch's image has the wrong shape")
     T_base_sensor, T_true = (

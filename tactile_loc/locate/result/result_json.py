@@ -112,6 +112,12 @@ TOUCH: Keys = {
         "number", "standard deviation of the indentation's error, m, if the sensor knows it; else 0"
     ),
     "depths_known": Key("true or false", "false for a contact mask, which has no depths", True),
+    "gel_law": Key(
+        "text or null",
+        "the law of the gel by which the touch was located: `rigid`, `layer`, or `outlined layer`, whose contact ends "
+        "where the surface is steepest; null in files of older versions",
+        None,
+    ),
     "T_sensor_object": Key("4 x 4 numbers or null", "the true pose, m; null if unknown"),
     "best_imprint_iou": Key(
         "number or null", "with several touches: the best imprint IoU of any pose tried with this touch, 0 to 1"

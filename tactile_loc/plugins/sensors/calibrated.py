@@ -12,7 +12,7 @@ from pydantic import Field
 from tactile_loc.plugin import ContactShape, SensorGeometry
 from tactile_loc.plugin.helpers import DepthSensor, GelOptions
 from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
-from tactile_loc.sensors.reading.reading import find_contact_shape, find_gel_surface
+from tactile_loc.sensors.reading.reading import find_contact_shape, find_gel_surface, read_by_laws
 
 
 class CalibratedSensor(DepthSensor):
@@ -38,11 +38,13 @@ class CalibratedSensor(DepthSensor):
         if image.ndim == 2 and image.dtype != np.uint8:
             return super().contact_shape(image)
         known = self.calibration
-        seen = known.read_indentation(image, self.geometry.gel)
-        sees_skirt = known.estimator.sees_skirt
-        if self.geometry.gel.is_elastic and (sees_skirt or known.geometry.gel.is_elastic):
-            return find_gel_surface(seen, self.geometry, known.noise_m, known.false_press_m)
-        return find_contact_shape(seen, self.geometry, known.noise_m, sees_skirt, known.false_press_m)
+        seen, sees_skirt = known.read(image, self.geometry.gel), known.estimator.sees_skirt
+        limits = known.noise_m, sees_skirt, known.false_press_m
+        if not (self.geometry.gel.is_elastic and (sees_skirt or known.geometry.gel.is_elastic)):
+            return find_contact_shape(seen.indentation_m, self.geometry, *limits)
+        if self.options.gel is None and known.geometry.gel.is_elastic:
+            return read_by_laws(seen, self.geometry, known.noise_m, known.false_press_m)
+        return find_gel_surface(seen.indentation_m, self.geometry, known.noise_m, known.false_press_m)
 
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the simulated image (H, W, 3) of a contact shape, with the optics of the calibration's images.

@@ -24,6 +24,7 @@ from tactile_loc.sensors.reading.estimator import GelEstimator, make_estimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import (
     Health,
+    Seen,
     measure_health,
     measure_press_m,
     read_gel,
@@ -115,11 +116,15 @@ class Calibration:
         replaces the elasticity of the calibration's gel. Raises TouchError when the image is of another sensor, or when
         the sensor has changed much. Logs a warning when it has changed less.
         """
+        return self.read(image, gel).indentation_m
+
+    def read(self, image: NDArray[Any], gel: Gel | None = None) -> Seen:
+        """Return what an image shows: see `read_indentation`."""
         image = self.gel.clear_image(require_image(image, self.untouched, self.camera_px))
-        indentation, slopes = read_gel(self.estimator, image, gel or self.geometry.gel)
+        seen = read_gel(self.estimator, image, gel or self.geometry.gel)
         if self.usual_health is not None:
-            require_healthy(measure_health(image, self.gel.clear, slopes, self.geometry), self.usual_health)
-        return indentation
+            require_healthy(measure_health(image, self.gel.clear, seen.slopes, self.geometry), self.usual_health)
+        return seen
 
     @property
     def optics(self) -> Optics:

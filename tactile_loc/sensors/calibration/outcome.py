@@ -127,7 +127,7 @@ def measure_press(estimator: GelEstimator, image: Image, label: PressLabel) -> d
     is subtracted. `depth_m` is the RMS error without this subtraction. It is unknown if the label is not absolute.
     `untouched_m` is the RMS of the estimated indentation where the gel is untouched.
     """
-    indentation, slopes = read_gel(estimator, image, estimator.geometry.gel)
+    indentation, _, slopes = read_gel(estimator, image, estimator.geometry.gel)
     off = indentation - label.indentation_m
     inside = off[label.contact]
     known = label.contact & label.known

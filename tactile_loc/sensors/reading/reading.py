@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from PIL import Image as Picture
 from scipy.ndimage import binary_opening, gaussian_filter, gaussian_laplace, label
 
 from tactile_loc.core.runtime.errors import NoContactError, TouchError, mention_source
-from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.gel_surface import recover_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
@@ -150,16 +151,23 @@ def find_contact_shape(
     return ContactShape(np.where(contact, depth, cut).astype(np.float32), float(cut), press)
 
 
-def read_gel(estimator: GelEstimator, image: Image, gel: Gel) -> tuple[Float32, Float32 | None]:
-    """Return the indentation (H, W), metres, of a gel's surface in an image (H, W, 3), and the slopes (H, W, 2).
+class Seen(NamedTuple):
+    """What an image shows: indentations (H, W), metres, of the gel's surface and of a rigid gel, and slopes (H, W, 2).
 
-    The indentation of an elastic gel is recovered from the slopes by contact mechanics. The slopes are None if the
-    estimator does not use slopes; then the indentation is what the estimator says.
+    The slopes are None if the estimator does not use slopes. Then both indentations are what the estimator says.
     """
-    indentation, slopes = estimator.read(image)
+
+    indentation_m: Float32
+    rigid_m: Float32
+    slopes: Float32 | None
+
+
+def read_gel(estimator: GelEstimator, image: Image, gel: Gel) -> Seen:
+    """Return what an image (H, W, 3) shows. The surface of an elastic gel is recovered by contact mechanics."""
+    integrated, slopes = estimator.read(image)
     if slopes is None or not gel.is_elastic:
-        return indentation, slopes
-    return recover_indentation(indentation, slopes, replace(estimator.geometry, gel=gel)), slopes
+        return Seen(integrated, integrated, slopes)
+    return Seen(recover_indentation(integrated, slopes, replace(estimator.geometry, gel=gel)), integrated, slopes)
 
 
 def recover_indentation(indentation_m: Float32, slopes: Float32, geometry: SensorGeometry) -> Float32:
@@ -189,6 +197,23 @@ def find_gel_surface(
     shown = geometry.observed_mask & (indentation_m > noise_m)
     depth = np.maximum(np.float32(press) - indentation_m, 0)
     return ContactShape(np.where(shown, depth, press).astype(np.float32), press, indentation_std_m=std_m)
+
+
+def read_by_laws(seen: Seen, geometry: SensorGeometry, noise_m: float, false_press_m: float) -> ContactShape:
+    """Return the contact shape of a measured elastic gel, and in `otherwise` the shapes by other laws of the gel.
+
+    A real gel is no linear layer. The pressure of a layer shows the contact of light presses best. In heavy presses it
+    spreads beyond the contact, which ends where the surface is steepest. A rigid gel is the other end of the laws.
+    """
+    surface = find_gel_surface(seen.indentation_m, geometry, noise_m, false_press_m)
+    otherwise = []
+    touching = surface.contact & find_contact(seen.indentation_m, surface.press_depth_m, geometry)
+    if touching.any():
+        otherwise.append((geometry.gel, replace(surface, touching=touching)))
+    with suppress(NoContactError):
+        rigid = find_contact_shape(seen.rigid_m, geometry, noise_m, false_press_m=false_press_m)
+        otherwise.append((RIGID, rigid))
+    return replace(surface, otherwise=tuple(otherwise))
 
 
 def _require_press(

@@ -127,7 +127,7 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fi
 
     def read(path: Path) -> np.ndarray:
         image = np.asarray(Image.open(path).convert("RGB"))
-        return read_gel(estimator, reduce_image(image, geometry.shape), geometry.gel)[0]
+        return read_gel(estimator, reduce_image(image, geometry.shape), geometry.gel).indentation_m
 
     side = geometry.pixel_pitch_m * (np.arange(160) + 0.5)
     away = np.hypot(side[None] - 208.5e-3 * SET_MM_PX, side[:, None] - 166.5e-3 * SET_MM_PX)

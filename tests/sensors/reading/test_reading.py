@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import NoContactError, TouchError, note_source
 from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.gel_surface import deform_gel
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
@@ -23,12 +24,14 @@ from tactile_loc.sensors.reading.reading import (
     SKIRT,
     TIP_M,
     Health,
+    Seen,
     extrapolate_press_m,
     find_contact_shape,
     find_gel_surface,
     find_worst,
     measure_health,
     measure_press_m,
+    read_by_laws,
     recover_indentation,
     require_healthy,
     require_image,
@@ -304,3 +307,24 @@ def test_poor_health_warns_and_worse_health_is_refused(caplog):
     assert not missing(record.message, 2.0, "light")
     with pytest.raises(TouchError, match=naming(3.0, "surface", "`zero`")):
         require_healthy(Health(4.0, 0.6), USUAL)
+
+
+def test_a_measured_gel_is_read_by_three_laws():
+    """The outline of a flat punch under a layer is where the surface is steepest."""
+    layer = dataclasses.replace(GEOMETRY, gel=Gel(5e-3))
+    x, y = places(GEOMETRY)
+    tip = (np.abs(x) < 2e-3) & (np.abs(y) < 3e-3)
+    flat = np.where(tip, 0, PRESS_M).astype(np.float32)
+    shown = PRESS_M - deform_gel(flat[None], PRESS_M, layer.press(PRESS_M), 20)[0]
+    shape = read_by_laws(Seen(shown, shown, None), layer, 1e-6, 0.0)
+    (gel, _), (rigid_gel, rigid) = shape.otherwise
+    assert gel == layer.gel
+    assert rigid_gel == Gel()
+    assert rigid.press_depth_m < shape.press_depth_m
+    touch = Touch(shape, layer)
+    by_outline, by_rigid = touch.read_otherwise()
+    assert [touch.gel_law, by_outline.gel_law, by_rigid.gel_law] == ["layer", "outlined layer", "rigid"]
+    contact = by_outline.touching_shape.contact
+    assert (contact & tip).sum() > 0.9 * (contact | tip).sum()
+    assert by_outline.thin(64)[1].contact.any()
+    assert not touch.contact_shape.press_to(1e-4).otherwise
