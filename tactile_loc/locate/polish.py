@@ -15,7 +15,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry.rigid import Poses, make_transform
 from tactile_loc.core.sensing.clouds import make_contact_cloud
@@ -70,7 +69,9 @@ def _apply(motion: Poses, one: Hypothesis) -> Hypothesis:
 
 def _move(motions: Floats, middle_m: Floats) -> Poses:
     """Return transforms (N, 4, 4), metres, of motions (N, 3): x and y in metres, and a turn about z through a point."""
-    R = Rotation.from_rotvec(np.pad(motions[:, 2:], [(0, 0), (2, 0)])).as_matrix()
+    R = np.tile(np.eye(3), (len(motions), 1, 1))
+    cosine, sine = np.cos(motions[:, 2]), np.sin(motions[:, 2])
+    R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1] = cosine, -sine, sine, cosine
     return make_transform(R, middle_m - R @ middle_m + np.pad(motions[:, :2], [(0, 0), (0, 1)]))
 
 
