@@ -1,4 +1,4 @@
-"""Reports without plots: an identification, a next touch, a mount, and a folder of touches located one by one."""
+"""Reports without plots: an identification, a next touch, a mount, a sensor's checks, and touches of a folder."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import format_pose
-from tactile_loc.core.runtime.formatting import format_percent
+from tactile_loc.core.runtime.formatting import format_mm, format_percent
 from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.evaluation.sensor_damage import PART, TOUCHES, Damage
 from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
 from tactile_loc.locate.identify import Identification, KnownObject
 from tactile_loc.locate.result.localization import Localization
@@ -19,8 +20,10 @@ from tactile_loc.locate.touch_files import LocatedFile
 from tactile_loc.planning.identification_files import NONE_OF_THESE, describe_identification
 from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.reports.page import Page, Section
-from tactile_loc.reports.pictures import draw_shape, encode_gallery
+from tactile_loc.reports.pictures import draw_shape, encode_gallery, encode_photo
+from tactile_loc.sensors.reading.passport import Examination, Finding
 
+CHANGES = 8  # factor by which small changes of colour are shown
 POSE = ("x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
 DEPTHS = "Dark: pressed deepest. Touches are drawn as the sensor sees them, x right and y down."
 
@@ -111,6 +114,48 @@ def make_folder_page(found: Sequence[LocatedFile], shown: Mapping[str, Touch], a
     ]
     title = f"{len(found)} touches: {', '.join(f'{n} {one}' for one, n in counts.most_common())}"
     return _make_page(title, f"{len(found)} touches of {about}", sections)
+
+
+def make_passport_page(sensor: str, seen: Examination, findings: Sequence[Finding], damage: Sequence[Damage]) -> Page:
+    """Return the page of a sensor's checks. Its title counts the faults."""
+    faults, whole = [one for one in findings if one.is_fault], damage[0]
+    errors = {one.finding.check.name: _name_error(one) for one in damage if one.finding is not None}
+    numbers = [
+        ("faults", str(len(faults)), f"of {len(findings)} checks on {len(seen.photos)} photos"),
+        ("pose error", _name_error(whole), f"of touches of the part {PART} without faults"),
+    ]
+    header = ("check", "state", "value", "limit", "pose error", "what to do")
+    rows = [_list_check_cells(one, seen, errors) for one in findings]
+    note = f"Pose errors are medians of {TOUCHES} simulated touches of {PART}, read as the faulty sensor reads them."
+    now, before = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in (seen.today, seen.before))
+    change = np.clip(np.rint(128 + CHANGES * seen.change), 0, 255).astype(np.uint8)
+    photos = {"untouched gel of the calibration": before, "untouched gel in the photos": now}
+    photos |= {f"change, {CHANGES} times": change, "first photo": seen.photos[0]}
+    images = [(caption, encode_photo(image)) for caption, image in photos.items()]
+    for one in damage:
+        if one.touch is not None:
+            name = "without faults" if one.finding is None else one.finding.check.name
+            images.append((f"{PART}, {name}", draw_shape(one.touch.contact_shape, one.touch.geometry)))
+    sections = [
+        Section("summary", "", {"numbers": numbers, "notes": [f"{one.says}: {one.check.advice}." for one in faults]}),
+        Section("rows", "Checks", {"header": header, "rows": rows, "left": 2, "note": note, "label": "checks"}),
+        Section("pictures", "Pictures", {"images": images, "note": "Contact shapes: dark is pressed deepest."}),
+    ]
+    state = "no fault found" if not faults else f"{len(faults)} {'fault' if len(faults) == 1 else 'faults'}"
+    return _make_page(f"{sensor}: {state}", f"passport of the sensor {sensor}", sections)
+
+
+def _name_error(damage: Damage) -> str:
+    return f"{format_mm(damage.error_m)} mm" if np.isfinite(damage.error_m) else "no pose"
+
+
+def _list_check_cells(one: Finding, seen: Examination, errors: Mapping[str, str]) -> list[str]:
+    scale, unit = (1e3, "mm") if one.check.unit == "m" else (1.0, one.check.unit)
+    known = np.isfinite(one.value)
+    value, limit = (f"{scale * v:.3g} {unit}".strip() for v in (one.value, one.find_limit(seen)))
+    state = (one.says or "ok") if known else "not judged"
+    advice = one.check.advice if one.is_fault else ""
+    return [one.check.name, state, value if known else "", limit, errors.get(one.check.name, ""), advice]
 
 
 def _make_page(title: str, about: str, sections: Sequence[Section]) -> Page:

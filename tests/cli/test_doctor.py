@@ -8,9 +8,11 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_helpers import HANGS_S
 from message_helpers import missing
+from PIL import Image
 from tactile_loc_cli.doctor import checks
 from tactile_loc_cli.doctor.checks import LIBRARIES, Dependency, State, attempt, examine
 
@@ -209,3 +211,33 @@ def test_the_kernels_of_locating_compile():
     outcome = checks.attempt("kernels", timeout_s=300)
     assert not outcome.failure
     assert outcome.facts["seconds"] > 0
+
+
+def test_photos_need_a_sensor_and_a_sensor_needs_photos(cli, tmp_path):
+    assert cli("doctor", "photo.png").exit_code == 2
+    assert cli("doctor", "--sensor", tmp_path / "none").exit_code == 2
+
+
+@pytest.mark.slow
+def test_a_sensor_is_checked_and_its_page_is_written(cli, tmp_path):
+    pytest.importorskip("torch")
+    from press_sets import ball_set, write_image
+
+    few = ("--option", "steps=400", "--option", "hidden=16", "--store", tmp_path / "store")
+    presses, photos = ball_set(15, px=80).write(tmp_path / "presses"), tmp_path / "photos"
+    assert cli("calibrate", presses, *few, "--out", tmp_path / "mine").exit_code == 0
+    photos.mkdir()
+    for number, image in enumerate(ball_set(6, px=80, seed=7).images):
+        write_image(photos / f"{number}.png", image)
+    words = ("doctor", "--sensor", tmp_path / "mine", photos, "--store", tmp_path / "store", "--json")
+    done = cli(*words, "--out", tmp_path / "clean")
+    assert (done.exit_code, json.loads(done.stdout)["faults"]) == (0, {})
+    for path in photos.iterdir():
+        write_image(path, np.asarray(Image.open(path))[::-1])
+    done = cli(*words, "--out", tmp_path / "turned")
+    found = json.loads(done.stdout)
+    assert done.exit_code == 1
+    assert [*found["faults"]] == ["order of colours and pixels"]
+    assert found["pose_errors_m"]["order of colours and pixels"] > 1e-3
+    assert "top and bottom" in (tmp_path / "turned" / "passport.html").read_text()
+    assert cli("doctor", "--sensor", tmp_path / "mine", photos / "0.png").exit_code == 2

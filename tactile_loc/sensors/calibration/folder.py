@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +23,7 @@ from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.optics.lamps import Optics
 from tactile_loc.sensors.reading.estimator import GelEstimator, make_estimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
+from tactile_loc.sensors.reading.passport import Examination, require_photos
 from tactile_loc.sensors.reading.reading import (
     Health,
     Seen,
@@ -36,7 +38,7 @@ from tactile_loc.store.keys import hash_arrays, hash_file
 
 SCHEMA_VERSION = 1
 SENSOR, BACKGROUND, WEIGHTS = "sensor.toml", "background.png", "estimator.safetensors"
-PICTURE = "held-out.png"
+PICTURE, CHECKED = "held-out.png", "checks"  # a picture's file, and a key of the record
 ZERO_ADVICE = "take it with the same sensor and light, or calibrate again"
 OURS = {SENSOR, "sensor_mask.png", "sensor_surface.npy", BACKGROUND, CALIBRATION, WEIGHTS, PICTURE}
 
@@ -125,6 +127,18 @@ class Calibration:
         if self.usual_health is not None:
             require_healthy(measure_health(image, self.gel.clear, seen.slopes, self.geometry), self.usual_health)
         return seen
+
+    def examine(self, photos: Sequence[Image]) -> Examination:
+        """Prepare the sensor's checks on photos (H, W, 3) of presses, in the order in which they were taken.
+
+        Raises TouchError for fewer photos than needed, or for another size, and CalibrationError if the sensor does not
+        estimate slopes.
+        """
+        estimator = self.estimator
+        if estimator.read(self.gel.clear)[1] is None:
+            raise CalibrationError(f"{self.folder} does not estimate slopes, so it has no checks; use photometric")
+        shown = require_photos(photos, self.camera_px, self.geometry.shape)
+        return Examination(estimator, self.gel, shown, self.record.get(CHECKED, {}))
 
     @property
     def optics(self) -> Optics:

@@ -16,10 +16,13 @@ from tactile_loc.core.runtime.errors import CalibrationError, SensorError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.sensor_files import read_sensor_file
-from tactile_loc.sensors.calibration.folder import WEIGHTS, write_calibration
+from tactile_loc.sensors.calibration.folder import CHECKED, WEIGHTS, write_calibration
 from tactile_loc.sensors.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
-from tactile_loc.sensors.calibration.presses import choose_size_px, read_presses
+from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator, make_estimator
+from tactile_loc.sensors.reading.markers import UntouchedGel
+from tactile_loc.sensors.reading.passport import FEWEST as FEWEST_CHECKED
+from tactile_loc.sensors.reading.passport import Examination, measure_usual
 from tactile_loc.sensors.reading.reading import find_worst, measure_health, read_gel
 from tactile_loc.slots.encoder import Checkpoints
 from tactile_loc.store.keys import StageKey
@@ -29,6 +32,7 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 HELD_OUT = 0.2  # share of the presses on which the errors are measured
 FEWEST = 5  # fewest presses for a calibration: four for training and one held out
 STAGE_VERSION, RECORD = 5, "held-out"
+MOST_CHECKED = 12  # largest number of presses for which the sensor's checks are measured
 LOOKED_AT = 60  # largest number of presses for which the health is measured
 QUANTITIES = {
     "slope_deg": ("surface angle in the contact", 1, ".2f", "°"),
@@ -213,4 +217,14 @@ def calibrate_folder(
         presses = replace(presses, geometry=replace(presses.geometry, relief_m=relief_m))
     presses = presses.measure_gel(watcher)
     outcome = calibrate_stage(presses, recipe, store or StageStore(), watcher)
-    return replace(outcome, facts=tuple(presses.list_facts()))
+    record = {**outcome.record, CHECKED: _check_presses(presses, outcome.estimator)}
+    return replace(outcome, record=record, facts=tuple(presses.list_facts()))
+
+
+def _check_presses(presses: PressFolder, estimator: GelEstimator) -> dict[str, float]:
+    """Return the values of the sensor's checks on some presses of balls; none if there are too few."""
+    balls = presses.list_balls()
+    some = np.array([presses.images[n] for n in balls[:: -(-len(balls) // MOST_CHECKED) or 1]])
+    if len(some) < FEWEST_CHECKED or estimator.read(some[0])[1] is None:
+        return {}
+    return measure_usual(Examination(estimator, UntouchedGel.of(presses.background), some))
