@@ -59,7 +59,7 @@ TURNS = (
 
 @dataclass(frozen=True)
 class Reading:
-    """What a sensor reads in a photo after the change of the untouched gel is removed.
+    """The reading of a photo, after the change of the untouched gel is removed.
 
     `press_m` is the press depth, and `bulge_m` the height above the untouched gel. `aspect` is the width of the deep
     part of the imprint divided by its height, both in metres. `curvature` is that of the surface there, 1/m.
