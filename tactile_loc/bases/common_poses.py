@@ -17,14 +17,12 @@ from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.runtime.errors import ConfigError, quote
 from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.slots.fuser import Fuser
 
 Indices = NDArray[np.int64]
 LookUp = Callable[[Poses], Indices]
 
 SAMPLE = 200  # least number of poses by which sensors are ordered
-A_TURN = 10_000  # poses that a prior weighs in one turn
 
 
 class CommonPosesFuser(Fuser):
@@ -124,8 +122,7 @@ def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.flo
         raise ConfigError(
             f"{quote(prior)} is not a prior; give a function of poses (N, 4, 4) to log-weights, such as a GaussianPrior"
         )
-    parts = [prior(grid.T_sensor_object[some]) for some in split_into_turns(len(grid), A_TURN)]
-    weights = np.asarray(parts[0] if len(parts) == 1 else np.concatenate(parts), float)
+    weights = np.asarray(prior(grid.T_sensor_object), float)
     if weights.shape != (len(grid),) or not (weights < np.inf).all():
         raise ConfigError(
             f"the prior returned an array of shape {weights.shape} for {len(grid)} poses; it must "

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from tactile_loc.core.runtime.caches import find_user_cache
 from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.core.runtime.formatting import format_bytes
-from tactile_loc.core.runtime.turns import without_pauses
 from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
 from tactile_loc.store.files import delete, sync_folder
 from tactile_loc.store.keys import StageKey
@@ -94,7 +93,7 @@ class StageStore:
         """
         artifact = self.get(key, files)
         if artifact is None:
-            with self._lock(key), without_pauses():
+            with self._lock(key):
                 artifact = self._open_or_remove(key, files) or self._make(key, make)
         else:
             logger.debug("stage %s is in the store already", key)

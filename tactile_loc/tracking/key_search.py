@@ -1,8 +1,9 @@
-"""The search of a track: its key touches are located together, one turn of the search at each frame."""
+"""The search of a track: its key touches are located together, in another thread."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,8 +12,8 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.priors import PosePrior
+from tactile_loc.core.runtime.compiled import run_aside
 from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.core.runtime.turns import Turns, pause_before
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compare_refined
 from tactile_loc.locate.localizer import Localizer, localize_together
@@ -51,7 +52,8 @@ class Searched:
 class KeySearch:
     """The key touches of a track, at sensor poses far apart, and the search that is under way.
 
-    `begun` are the key touches of the latest search. The `prior`, if any, is over T_base_object. `listed` (K, 4, 4),
+    `begun` are the key touches of the latest search. The result of a search that is `running` is used at the first
+    frame from the time `due_s`, seconds, on. The `prior`, if any, is over T_base_object. `listed` (K, 4, 4),
     metres, are the poses T_base_object that the latest finished search listed. The next search also refines them,
     because it may miss a pose that fewer touches led to.
     """
@@ -61,7 +63,8 @@ class KeySearch:
     prior: PosePrior | None = None
     begun: tuple[Touch, ...] = ()
     listed: Poses | None = None
-    turns: Turns[Searched] | None = None
+    running: Future[Searched] | None = None
+    due_s: float = 0.0
 
     def is_new_place(self, touch: Touch) -> bool:
         """Return whether a touch's sensor pose is far from that of each key touch."""
@@ -81,27 +84,33 @@ class KeySearch:
 
     def restart(self, touch: Touch, prior: PosePrior | None = None) -> KeySearch:
         """Return a search whose only key touch is `touch`; a search that is under way is given up."""
+        if self.running is not None:
+            self.running.cancel()
         return KeySearch(self.localizer, (touch,), prior)
 
     @property
     def is_due(self) -> bool:
         """Whether no search is under way and the key touches have changed since the last one."""
-        return self.turns is None and bool(self.keys) and self.begun != self.keys
+        return self.running is None and bool(self.keys) and self.begun != self.keys
 
-    def begin(self, known: Sequence[TrackMode]) -> KeySearch:
-        """Return the search of the present key touches, before its first turn.
+    def begin(self, known: Sequence[TrackMode], time_s: float) -> KeySearch:
+        """Begin the search of the present key touches at the time of a frame, seconds.
 
         It compares the poses that it finds with the `known` modes.
         """
         search = partial(search_keys, self.localizer, self.keys, self.prior, tuple(known), self.listed)
-        return replace(self, begun=self.keys, turns=Turns(search))
+        due_s = time_s + self.localizer.config.tracker.latency_s
+        return replace(self, begun=self.keys, running=run_aside(search), due_s=due_s)
 
-    def take_turn(self) -> tuple[KeySearch, Searched | None]:
-        """Take one turn; return the search and, if it has finished, its result."""
-        if self.turns is None or not self.turns.take():
+    def finish(self, time_s: float, waits: bool) -> tuple[KeySearch, Searched | None]:
+        """Return the search and, if it is due at `time_s` seconds and has finished, its result.
+
+        If it is due and has not finished, it is waited for if the caller `waits`.
+        """
+        if self.running is None or time_s < self.due_s or not (waits or self.running.done()):
             return self, None
-        finished = self.turns.result
-        return replace(self, turns=None, listed=self.listed if finished.found is None else finished.listed), finished
+        finished = self.running.result()
+        return replace(self, running=None, listed=self.listed if finished.found is None else finished.listed), finished
 
 
 def search_keys(
@@ -113,7 +122,6 @@ def search_keys(
 ) -> Searched:
     """Locate touches together, and compare the first pose with the `known` modes. `starts` are as for `locate_keys`."""
     found = locate_keys(localizer, keys, prior, starts)
-    pause_before(1.0)  # the probability takes a whole turn
     right = 0.0 if found is None else found.probability_within()
     if found is None or not known:
         return Searched(keys, found, right, (), np.zeros(0))

@@ -3,15 +3,14 @@
 A few possible poses, the modes, are predicted from the sensor's motion and registered to each touch. Prediction and
 touch are fused. So the prediction determines what the touch does not show, such as a bolt's rotation.
 
-Key touches are touches at places far apart. They are located together, one turn of the search at each frame, and the
-result decides between modes and how far to trust them. If a touch shows that the object has slipped, poses nearby are
-tried. If no pose explains a touch, the whole object is searched again.
+Key touches are touches at places far apart. They are located together, in another thread. The result decides between
+modes and how far to trust them. If a touch shows that the object has slipped, poses nearby are tried. If no pose
+explains a touch, the whole object is searched again.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -81,12 +80,17 @@ class Tracker:
     metres along and `creep_rad` radians about each axis. The object may also slip or jump. The errors of sensor poses
     are taken from the touches (`Touch.T_base_sensor_std_m`). Raises ConfigError for a creep that is negative or not
     finite.
+
+    Another thread searches, and the result is used `tracker.latency_s` seconds later. If the search takes longer, a
+    `live` track uses its result as soon as it is there. Other tracks wait, so that they can be repeated exactly.
     """
 
-    def __init__(self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3) -> None:
+    def __init__(
+        self, localizer: Localizer, creep_m: float = 1e-4, creep_rad: float = 2e-3, *, live: bool = False
+    ) -> None:
         if not (0 <= creep_m < math.inf and 0 <= creep_rad < math.inf):
             raise ConfigError(f"an object cannot creep by {creep_m} m and {creep_rad} rad; give 0 or more")
-        self.localizer, self.options = localizer, localizer.config.tracker
+        self.localizer, self.options, self.live = localizer, localizer.config.tracker, live
         self._filter = ModeFilter(localizer, np.diag(np.square([creep_m] * 3 + [creep_rad] * 3)))
         self._begin([], TrackTrust(self.options, limit=Verdict.NOT_FOUND, settled=False))
 
@@ -140,7 +144,7 @@ class Tracker:
             self._stayed = replace(self._stayed, modes=stayed)
         if touch is None:
             self._alike = 0.0  # the next contact will have new errors
-            return self._result(math.nan, self._take_turns(), touched=False)
+            return self._result(math.nan, self._search_on(), touched=False)
         same = touch.T_base_sensor is not None and np.array_equal(touch.T_base_sensor, T)
         return self._update_touched(touch if same else replace(touch, T_base_sensor=T))
 
@@ -163,7 +167,7 @@ class Tracker:
             self._search, self._undoubted = self._search.restart(touch), self._search
         elif not moved and self._searches and self._search.is_new_place(touch):
             self._search = self._search.add(touch)
-        searched = self._take_turns()
+        searched = self._search_on()
         if not self._modes:
             return self._result(0.0, searched)
         iou = self._modes[0].imprint_iou
@@ -175,18 +179,15 @@ class Tracker:
         """Whether new key touches start a search: until the track is settled, and while it is doubted."""
         return self._undoubted is not None or not self._trust.settled
 
-    def _take_turns(self) -> bool:
-        """Begin a search if one is due, take the turns of this frame, and return whether a search was under way."""
+    def _search_on(self) -> bool:
+        """Begin a search if one is due, use the result of one that has ended, and return whether one was under way."""
         if self._searches and self._search.is_due:
-            self._search = self._search.begin(self._modes)
-        if self._search.turns is None:
+            self._search = self._search.begin(self._modes, self._time_s)
+        if self._search.running is None:
             return False
-        finished = None
-        for _ in range(self.options.turns or sys.maxsize):
-            self._search, finished = self._search.take_turn()
-            if finished is not None:
-                self._adopt(finished)
-                break
+        self._search, finished = self._search.finish(self._time_s, waits=not self.live)
+        if finished is not None:
+            self._adopt(finished)
         return True
 
     def _suspects_slip(self, doubted: bool) -> bool:

@@ -100,7 +100,7 @@ def test_a_track_predicts_without_contact_and_skips_refused_images(localizer, fr
     some = add(still, touch=None, problem=NoContactError("nothing"))
     some = add(some, problem=TouchError("damaged"), touch=None)
     some = [*some, replace(still[0], number=4, stamp_ns=5_000_000)]  # the clock is set back
-    at_once = localizer.config.tracker.model_copy(update={"turns": 0})
+    at_once = localizer.config.tracker.model_copy(update={"latency_s": 0})
     config = localizer.config.model_copy(update={"tracker": at_once})
     records = list(track_frames(Images(Localizer(config, localizer.object, localizer.store), some)))
     verdicts = [record.located.verdict for record in records]

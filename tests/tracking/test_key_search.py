@@ -1,16 +1,18 @@
-"""The search of a track: touches far apart are its keys; its turns end like locating them together."""
+"""The search of a track: touches far apart are its keys; its result is that of locating them together."""
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from track_settings import SETTINGS
 
+import tactile_loc.tracking.key_search as module
 from tactile_loc.core.geometry.rigid import invert, make_translation
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.tracking.key_search import KeySearch, locate_keys
+from tactile_loc.tracking.key_search import KeySearch, locate_keys, search_keys
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +45,9 @@ def test_of_too_many_key_touches_one_of_the_two_nearest_is_dropped(pin, touches)
     assert {"0", "8"} < set(names)
 
 
-def test_the_turns_of_a_search_end_with_the_touches_located_together(pin, touches):
+def test_a_search_ends_with_the_touches_located_together(pin, touches):
     search = KeySearch(pin).add(touches[0])
-    assert not search.begin(()).is_due
+    assert not search.begin((), 0.0).is_due
     search, finished = finish(search)
     assert finished.keys == (touches[0],)
     whole = locate_keys(pin, [touches[0]])
@@ -56,9 +58,9 @@ def test_the_turns_of_a_search_end_with_the_touches_located_together(pin, touche
 
 
 def test_a_restart_forgets_the_key_touches(pin, touches):
-    search = KeySearch(pin).add(touches[0]).begin(()).restart(touches[5])
+    search = KeySearch(pin).add(touches[0]).begin((), 0.0).restart(touches[5])
     assert search.keys == (touches[5],)
-    assert search.turns is None
+    assert search.running is None
     assert search.is_due
 
 
@@ -76,8 +78,23 @@ def test_a_search_also_refines_the_poses_that_the_search_before_listed(pin, touc
 
 
 def finish(search):
-    """Return a search after all its turns, and its result."""
-    search, finished = search.begin(()), None
-    while finished is None:
-        search, finished = search.take_turn()
-    return search, finished
+    """Return a search after its end, and its result."""
+    search = search.begin((), 1.0)
+    assert search.finish(1.0, waits=True) == (search, None), "the result is not used before it is due"
+    return search.finish(1.0 + search.localizer.config.tracker.latency_s, waits=True)
+
+
+def test_a_live_track_does_not_wait_for_a_search(pin, touches, monkeypatch):
+    started, go_on = threading.Event(), threading.Event()
+
+    def search_slowly(*given):
+        started.set()
+        assert go_on.wait(60)
+        return search_keys(*given)
+
+    monkeypatch.setattr(module, "search_keys", search_slowly)
+    search = KeySearch(pin).add(touches[0]).begin((), 0.0)
+    assert started.wait(60)
+    assert search.finish(10.0, waits=False) == (search, None)
+    go_on.set()
+    assert search.finish(10.0, waits=True)[1].keys == (touches[0],)

@@ -99,7 +99,7 @@ def test_motions_give_the_same_track_as_poses(pin, slide):
 
 def at_once(localizer: Localizer, **options: float) -> Localizer:
     """Return a localizer whose trackers finish each search within one frame."""
-    options = localizer.config.tracker.model_copy(update={"turns": 0, **options})
+    options = localizer.config.tracker.model_copy(update={"latency_s": 0, **options})
     config = localizer.config.model_copy(update={"tracker": options})
     return Localizer(config, localizer.object, localizer.store)
 

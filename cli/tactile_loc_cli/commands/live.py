@@ -94,7 +94,7 @@ def live(
     _require_outputs(out, rerun)
     sensor_track = _read_poses(poses, track)
     localizer = options.open_localizer(settings, store)
-    tracker = Tracker(localizer) if track else None
+    tracker = Tracker(localizer, live=not once) if track else None
     locator = LiveLocator(localizer, tracker, sensor_track)
     with ExitStack() as stack:
         shows = [

@@ -51,7 +51,7 @@ class ImageLocator:
     ) -> None:  # fmt: skip
         self.localizer, self.required = localizer, required
         self._press_depth_m, self._estimator = press_depth_m, estimator or self._localize
-        self._tracker = Tracker(localizer) if track else None
+        self._tracker = Tracker(localizer, live=True) if track else None
         self._time_s = -math.inf
 
     def read_touch(self, image: Any, T_base_sensor: Floats | None = None) -> Touch:
@@ -91,7 +91,7 @@ class ImageLocator:
     def _follow_clock(self, time_s: float) -> tuple[Tracker, float]:
         """Return the tracker and the time of an image, seconds; a reset clock begins another track."""
         if self._tracker is None or time_s < self._time_s - RESET_S:
-            self._tracker, self._time_s = Tracker(self.localizer), time_s
+            self._tracker, self._time_s = Tracker(self.localizer, live=True), time_s
         self._time_s = max(self._time_s, time_s)  # images may arrive out of order
         return self._tracker, self._time_s
 

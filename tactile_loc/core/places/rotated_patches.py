@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform
 from tactile_loc.core.places.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Float32, Places
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
-from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.core.sensing.gel_surface import SLACK
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
@@ -128,7 +127,6 @@ def _fill_excess(first, last, patches, pairs, bounds, most, excess):
 
 
 MOST_EXCESS = 0.3  # share of the press beyond which a place's distance from the gel's surface counts as equal
-COMPARED = 20_000  # rotated places that are compared with a touch in one turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +150,7 @@ class TouchBounds:
         """
         bounds = tuple(np.asarray(b / np.float32(STEP_M) + BELOW, np.float32) for b in (self.low_m, self.high_m))
         excess, most = np.empty(len(numbers), np.float32), np.float32(self.most_m / STEP_M)
-        for some in split_into_turns(len(numbers), COMPARED):
-            pairs, part = (numbers[some], yaws[some]), excess[some]
-            run_in_threads(_fill_excess, len(part), places.patches, pairs, bounds, most, part)
+        run_in_threads(_fill_excess, len(excess), places.patches, (numbers, yaws), bounds, most, excess)
         return excess * np.float32(STEP_M**2)
 
 

@@ -11,9 +11,6 @@ from tactile_loc.core.geometry.rigid import Poses
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.runtime.compiled import njit
-from tactile_loc.core.runtime.turns import pause_before
-
-A_TURN = 15_000  # poses whose neighbours are suppressed in one turn
 
 
 def merge_modes(
@@ -75,7 +72,6 @@ def suppress_non_maxima(
 
     No chosen pose is within `radius_m` metres of a pose with greater worth. Symmetries do not count.
     """
-    pause_before(len(poses) / A_TURN)
     order = np.argsort(-worth, kind="stable")
     points = np.ascontiguousarray(metric.embed(poses[order]))
     return np.asarray(order[choose_apart(points, float(radius_m), count)])

@@ -30,10 +30,8 @@ from tactile_loc.core.registration.equations import build_equations
 from tactile_loc.core.registration.observations import Observed
 from tactile_loc.core.registration.prior_factors import PriorFactors
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
-from tactile_loc.core.runtime.turns import split_into_turns
 
 SETTLED_MM = 1e-3  # a pose has converged if its last step was shorter
-A_TURN = 600  # steps of single poses with single touches in one turn; a step with all points counts as `stride` steps
 FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # largest rotation and translation of a step
 DAMPING = 1e-4
 DAMPING_WITH_PRIOR = 1e-8  # more damping would only slow down the weak factor of a prior
@@ -98,10 +96,7 @@ class RegistrationProblem(NamedTuple):
         count = len(T)
         moved, misfit, parts = np.full(count, np.inf), np.full(count, np.inf), np.zeros((count, 2, 6, 6))
         found = RegisteredPoses(np.array(T), self.T_sensor_first @ T[:, None], moved, misfit, parts)
-        steps = len(schedule.scales) + schedule.finely * (schedule.stride - 1)
-        for some in split_into_turns(count, A_TURN / (steps * len(self.T_sensor_first))):
-            part, near = RegisteredPoses(*(of[some] for of in found)), PriorFactors(*(of[some] for of in factors))
-            run_in_threads(register_poses, len(part.T_reported), part, self, self.sensor + self.press, schedule, near)
+        run_in_threads(register_poses, count, found, self, self.sensor + self.press, schedule, factors)
         return found
 
     def inform(self, found: RegisteredPoses, reported: bool = False) -> Floats:

@@ -28,7 +28,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _one_compiler = RLock()
-_thread = local()  # `alone` is set in the threads of `map_in_threads`
+_thread = local()  # `alone` is set in the threads of `map_in_threads` and `run_aside`
 
 
 class Kernel:
@@ -113,10 +113,7 @@ def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) ->
     if threads < 2:
         yield from map(function, items)
         return
-    with (
-        use_one_blas_thread(),
-        ThreadPoolExecutor(threads, "tactile-loc-item", lambda: setattr(_thread, "alone", True)) as pool,
-    ):
+    with use_one_blas_thread(), ThreadPoolExecutor(threads, "tactile-loc-item", _compute_alone) as pool:
         waiting: deque[Future[Result]] = deque()
         try:
             for item in items:
@@ -129,8 +126,16 @@ def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) ->
             pool.shutdown(wait=True, cancel_futures=True)
 
 
+def run_aside(function: Callable[[], Result]) -> Future[Result]:
+    """Call function() in another thread, which computes alone, and return its future at once."""
+    return _aside(os.getpid()).submit(function)
+
+
 def count_threads() -> int:
-    """Return the number of threads for compiled loops: NUMBA_NUM_THREADS or the number of cores, 1 if in an item."""
+    """Return the number of threads for compiled loops: NUMBA_NUM_THREADS or the number of cores.
+
+    It is 1 in an item of `map_in_threads`, and in a function that runs aside.
+    """
     if getattr(_thread, "alone", False):
         return 1
     from numba import config  # it takes a while to import
@@ -142,6 +147,15 @@ def count_threads() -> int:
 def _pool(process: int, threads: int) -> ThreadPoolExecutor:
     """Return the threads of this process. A forked process cannot use the threads of its parent."""
     return ThreadPoolExecutor(threads, thread_name_prefix="tactile-loc")
+
+
+@lru_cache(maxsize=2)
+def _aside(process: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count(), "tactile-loc-aside", _compute_alone)
+
+
+def _compute_alone() -> None:
+    _thread.alone = True
 
 
 @contextmanager

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Float32, Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
 from tactile_loc.core.sensing.imprints import Explained, Residuals, compare_imprints, measure_residuals
@@ -19,7 +18,6 @@ from tactile_loc.core.sensing.sensor_geometry import Drawing, SensorGeometry, fi
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
 
 IOU_PX = 100
-A_TURN = 120  # poses that are compared with a touch of IOU_PX pixels in one turn
 
 # The error of a measured indentation is a share of the indentation plus a constant. It limits how far a pose may move
 # along z.
@@ -161,13 +159,6 @@ class Scene:
 
         Poses may move `freedom_m` metres farther along z than the error of the measured press.
         """
-        parts = [
-            self._compare_some(T_sensor_object[some], touch, pixels, freedom_m)
-            for some in split_into_turns(len(T_sensor_object), A_TURN * IOU_PX / pixels)
-        ]
-        return parts[0] if len(parts) == 1 else Explained(*map(np.concatenate, zip(*parts, strict=True)))
-
-    def _compare_some(self, T_sensor_object: Poses, touch: Touch, pixels: int, freedom_m: float) -> Explained:
         return compare_imprints(*self._draw_beside(T_sensor_object, touch, pixels, freedom_m))
 
     def measure_residuals(self, T_sensor_object: Poses, touch: Touch, pixels: int = IOU_PX) -> Residuals:

@@ -24,7 +24,6 @@ from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
 from tactile_loc.core.registration.prior_factors import draw_around, fit_prior_factors
 from tactile_loc.core.runtime.progress import StageTimes
-from tactile_loc.core.runtime.turns import pause_before
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import NATS_PER_IOU, compute_imprint_ious
@@ -38,7 +37,6 @@ ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
 SPREAD = 2.0  # grid spacings between half of the poses moved to several touches; nearer ones mostly lead to one pose
-SCORED, CHOSEN = 700_000, 40_000  # rotated places that are scored, and chosen by their scores, in one turn
 DRAWN = 64  # poses drawn around the prior's peak
 MOST_UNEXPLAINED = 0.2  # loss of mean imprint IoU beyond which a pose is dropped that only the prior chose
 SAMPLED = 16  # one score out of this many is looked at to estimate how high the highest scores are
@@ -160,11 +158,9 @@ class PlaceSearch:
             return self._match_mask(touch, count)
         compared_m = touch.press_depth_m * touch.geometry.gel.compared_share
         matcher = self._banks.matcher(compared_m)
-        pause_before(len(self.yaws_rad) * len(self.places) / SCORED)
         cut_m = min(self._banks.bank_press_m(compared_m), compared_m)
         T_sensor_anchor, codes = encode_rotated(touch, self.encoder, cut_m, self.yaws_rad)
         similar = matcher.scores(*codes)
-        pause_before(count / CHOSEN)
         elastic = touch.geometry.gel.is_elastic
         yaw, number = find_highest(similar, max(count, self.options.compared_again) if elastic else count)
         scores = similar[yaw, number]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from tactile_loc.core.places.places import PRESS_STEP_M
 from tactile_loc.core.runtime.caches import ByteCache
 from tactile_loc.core.runtime.progress import StageTimes
-from tactile_loc.core.runtime.turns import takes_turns
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.slots.encoder import Encoder
 from tactile_loc.slots.matcher import Matcher
@@ -114,8 +112,7 @@ class GridScores:
     def matcher(self, press_depth_m: float) -> Matcher:
         """Return the matcher whose bank is cut at this press depth (metres), built at first use."""
         press_m = self.bank_press_m(press_depth_m)
-        # each bank is built once; but work in turns must not hold a lock
-        with nullcontext() if takes_turns() else self._choosing:
+        with self._choosing:  # each bank is built once
             return self._matchers.get(press_m, lambda: index_bank(self._make_matcher(), self.bank(press_m))).matcher
 
     def _make_matcher(self) -> Matcher:

@@ -10,7 +10,6 @@ import numpy as np
 from tactile_loc.core.places.places import CAMERA, Places, split_patches
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.core.runtime.turns import split_into_turns
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.locate.sources.listed_grid import train_encoder
 from tactile_loc.locate.sources.scoring import Scores
@@ -26,7 +25,6 @@ STAGE, STAGE_VERSION = "places", 1
 FILE_FORMAT = 2  # increase if the same places are stored as other files
 TRAINING_VERSION = 1  # version of how an encoder's training touches are drawn
 ENCODED = 512  # places encoded at once, so that they fit in a processor's cache
-A_TURN = 8 * ENCODED  # places encoded in one turn
 
 
 def build_places(sampler: GridSampler, scene: Scene, store: StageStore, progress: Progress) -> tuple[Places, StageKey]:
@@ -123,11 +121,8 @@ class PlaceBanks:
     def _encode(self, press_depth_m: float, flat: bool = False) -> Scores:
         encode = partial(self._encode_some, press_depth_m, flat)
         one_by_one = self.encoder.capabilities.needs_training  # a network has threads of its own
-        encoded: list[Scores] = []
-        for some in split_into_turns(len(self.places), A_TURN):
-            starts = range(some.start, some.stop, ENCODED)
-            encoded += map(encode, starts) if one_by_one else map_in_threads(encode, starts)
-        return np.concatenate(encoded)
+        starts = range(0, len(self.places), ENCODED)
+        return np.concatenate(list(map(encode, starts) if one_by_one else map_in_threads(encode, starts)))
 
     def _encode_some(self, press_depth_m: float, flat: bool, start: int) -> Scores:
         some, press = slice(start, start + ENCODED), np.float32(press_depth_m)

@@ -23,7 +23,6 @@ from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom
 from tactile_loc.core.runtime.progress import StageTimes
-from tactile_loc.core.runtime.turns import pause_before
 from tactile_loc.core.sensing.clouds import make_contact_cloud, make_outline_cloud
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
@@ -41,7 +40,6 @@ EXPECTED_SHARE = 0.5  # poses of several touches that the prior chooses, per pos
 DISTANCE_PER_NAT_M = 1e-4  # mean distance of a touch's points from the surface that counts as a nat of the prior
 FIRST, EXPECTED_MODES = 8, 4  # modes before the modes that the prior favours, and number of the latter
 FEW_POINTS, FEW_PX = 30, 60  # points per touch, and long side of their image, pixels, to compare many poses quickly
-MEASURED = 30_000  # poses that are compared with the points of a touch in one turn
 # Coarse mean imprint IoUs: from PROMISING on, poses are refined without a trial. If all poses are below UNPROMISING
 # even after coarse registration, only one is refined, because refined poses hardly explain the touches well then.
 PROMISING, UNPROMISING = 0.8, 0.6
@@ -331,7 +329,6 @@ def estimate_surface_distances(views: Sequence[View], poses: Poses, cell_m: floa
     field, seen_from = build_surface_field(views[0].scene.object.mesh, cell_m), invert(poses)
     distances_m = np.zeros(len(poses))
     for view in views:
-        pause_before(len(poses) / MEASURED)
         points_m = _list_few_points(view.touch)
         distances_m += field.estimate_distances(points_m, seen_from @ invert(view.T_sensor_first))
     return distances_m
