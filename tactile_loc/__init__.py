@@ -77,7 +77,6 @@ if TYPE_CHECKING:
     from tactile_loc.locate.probability.temperature import TemperatureScaling as TemperatureScaling
     from tactile_loc.locate.result.freedom import Freedom as Freedom
     from tactile_loc.locate.result.hypothesis import Hypothesis as Hypothesis
-    from tactile_loc.locate.result.hypothesis import JudgedHypothesis as JudgedHypothesis
     from tactile_loc.locate.result.localization import Localization as Localization
     from tactile_loc.locate.result.located_frame import LocatedFrame as LocatedFrame
     from tactile_loc.locate.result.verdict import Verdict as Verdict

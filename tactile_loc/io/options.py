@@ -73,6 +73,7 @@ class TrackerOptions(StrictModel):
     least_iou: float = Field(default=0.25, ge=0, le=1, description="imprint IoU below which a pose explains nothing")
     confirming: int = Field(default=3, ge=1, description="key touches that end the search, if they are certain")
     latency_s: float = Field(default=0.1, ge=0, description="time from the start of a search to the use of its result")
+    check_s: float = Field(default=2.0, ge=0, description="time between checks by touches alone, s; 0: no checks")
     habit: float = Field(default=0.1, ge=0, le=1, description="weight of a touch in the usual imprint IoU, 0 to 1")
     stay_nats: float = Field(default=8.0, ge=0, description="most that a pose far from a slipped one loses, nats")
     slip_surprise: float = Field(default=30.0, gt=0, description="least squared error of a slipped pose, in std")

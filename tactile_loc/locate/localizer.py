@@ -1,7 +1,8 @@
-"""The localizer: the components that locate one object with one sensor, and the calls that use them."""
+"""The localizer: the components that locate one object with its sensors, and the calls that use them."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any, Self, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.bases.common_poses import require_sensor_poses
 from tactile_loc.core.geometry.rigid import Poses
@@ -19,19 +21,19 @@ from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior, require_
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.runtime.compiled import use_one_blas_thread
-from tactile_loc.core.runtime.errors import ConfigError, TouchError, quote
+from tactile_loc.core.runtime.errors import ConfigError, GridError, NoContactError, TouchError, quote
 from tactile_loc.core.runtime.progress import Progress, StageTimes
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.scene import DepthRenderer, Scene, View, view_touch
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.config import RunConfig
+from tactile_loc.core.sensing.touch import Touch, require_fit
+from tactile_loc.io.config import RunConfig, SlotConfig, choose_sensor
 from tactile_loc.io.meshes.mesh_files import Units
-from tactile_loc.io.touches import read_touch
+from tactile_loc.io.touches import read_touch, touch_from_image
 from tactile_loc.locate.method import LocatingMethod, Query, Refinement
 from tactile_loc.locate.outliers import localize_agreeing, localize_by_likeliest_law, require_within_reach
 from tactile_loc.locate.probability.temperature import TemperatureScaling
-from tactile_loc.locate.result.hypothesis import JudgedHypothesis
 from tactile_loc.locate.result.localization import Localization
+from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.sources.listed_grid import ListedSource, ObjectPoseModel
 from tactile_loc.locate.sources.source import FindPlaces, PoseSource, Scored, SourceSetup
@@ -45,6 +47,8 @@ from tactile_loc.store.store import StageStore
 
 class Localizer:
     """Locates one object with one sensor. Build it once, then use it for any number of touches.
+
+    `for_sensor` adds sensors of other kinds. All calls that take several touches then take those of any of the sensors.
 
     Several threads may use one localizer. A localizer can be pickled, for instance for other processes. The copy loads
     what is in the store, so the store's folder must exist there. `find_places`, if given, returns the object's places
@@ -67,6 +71,7 @@ class Localizer:
         self.refinement = Refinement(made["refiner"], config.refiner.name, self.registration)
         self.scene = Scene(obj, self.sensor.geometry, made["renderer"], config.drawing)
         self._components = made
+        self._known: list[Localizer] = [self]  # the localizers of all sensors
 
     @cached_property
     def _setup(self) -> SourceSetup:
@@ -96,7 +101,41 @@ class Localizer:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle only what the localizer was made from. The copy makes its components and loads the rest, if stored."""
-        return type(self), (self.config, self.object, self.store, self.progress, self._find_places)
+        made_from = self.config, self.object, self.store, self.progress, self._find_places
+        return type(self), made_from, [one.config.sensor for one in self._known if one is not self]
+
+    def __setstate__(self, sensors: Sequence[SlotConfig]) -> None:
+        for sensor in sensors:
+            self._add_sensor(sensor)
+
+    def for_sensor(self, sensor: str | dict[str, Any]) -> Localizer:
+        """Return the localizer of the same object for another sensor, made at the first call.
+
+        `sensor` is a name, the path of the sensor's file or folder, or a name with options, as in `create`. From then
+        on, touches of both sensors can be located together, by either localizer. Raises ConfigError for an unknown
+        sensor.
+        """
+        return self._add_sensor(choose_sensor(sensor) if isinstance(sensor, str) else SlotConfig(**sensor))
+
+    def _add_sensor(self, sensor: SlotConfig) -> Localizer:
+        known = next((one for one in self._known if one.config.sensor == sensor), None)
+        if known is None:
+            config = self.config.model_copy(update={"sensor": sensor})
+            known = type(self)(config, self.object, self.store, self.progress, self._find_places)
+            self._known.append(known)
+            known._known = self._known
+        return known
+
+    def find_localizer(self, touch: Touch) -> Localizer:
+        """Return the localizer of a touch's sensor: this one, or that of `for_sensor`. Raises TouchError if unknown."""
+        fits = (one for one in (self, *self._known) if isinstance(touch, Touch) and one._has_taken(touch))
+        found = next(fits, self)
+        found.require_own(touch)
+        return found
+
+    def _has_taken(self, touch: Touch) -> bool:
+        ours = self.scene.geometry
+        return touch.geometry is ours or touch.geometry.is_same_sensor(ours)
 
     def describe_components(self) -> dict[str, Any]:
         """Return the description of each slot's component, with a hash of its code, as JSON values."""
@@ -116,6 +155,22 @@ class Localizer:
         `kind` is the meaning of the depths if the file does not state it: see `Touch.from_depth`.
         """
         return read_touch(Path(path), self.sensor, unit, press_depth_m, kind)
+
+    def find_touch(self, image: NDArray[Any], T_base_sensor: Poses | None = None, name: str = "touch") -> Touch | None:
+        """Return the touch in an image (H, W, 3) uint8, or in depths (H, W), of this sensor; None without contact.
+
+        `T_base_sensor` (4, 4), metres, is the sensor's pose. The configuration of a touch states the unit, the kind and
+        the press depth of depths, as in `Localizer.create(..., touch={"unit": "mm", "kind": "indentation"})`. Raises
+        TouchError if the image cannot be read.
+        """
+        asked = self.config.touch
+        if image.ndim == 2:
+            require_fit(image.shape, self.scene.geometry, name)  # an array of the wrong size may show no contact, too
+        try:
+            touch = touch_from_image(image, self.sensor, asked.press_depth_m, name, asked.unit, asked.kind)
+        except NoContactError:
+            return None
+        return replace(touch, T_base_sensor=T_base_sensor)
 
     def simulate(
         self, count: int = 1, seed: int = 0, press_depth_m: float | None = None, noise: str = "none"
@@ -153,11 +208,11 @@ class Localizer:
                 f"{touch.name} is a contact mask, but the encoder {self.config.encoder.name!r} is trained on depths; "
                 "choose `encoder` pixel"
             )
-        ours = self.scene.geometry
-        if touch.geometry is not ours and not touch.geometry.is_same_sensor(ours):
+        if not self._has_taken(touch):
+            names = ", ".join(one.config.sensor.name for one in self._known)
             raise TouchError(
-                f"{touch.name} was not taken by the sensor {self.config.sensor.name}: its camera, field, gel or "
-                "maximal depth differs; make a Localizer for that sensor"
+                f"{touch.name} was not taken by the sensor {names}: its camera, field, gel or maximal depth differs; "
+                "call `for_sensor` with that sensor first"
             )
 
     # parts that are built once
@@ -205,21 +260,51 @@ class Localizer:
         return self._setup.mode_radius_m
 
     def make_views(self, touches: Sequence[Touch]) -> list[View]:
-        """Return the views of touches of this sensor, in the sensor frame of the first one."""
-        return [view_touch(touches[0], touch, self.scene.match_touch(touch)) for touch in touches]
+        """Return the views of touches of the localizer's sensors, in the sensor frame of the first touch."""
+        scenes = [self.find_localizer(touch).scene.match_touch(touch) for touch in touches]
+        return [view_touch(touches[0], touch, scene) for touch, scene in zip(touches, scenes, strict=True)]
 
     # answers
 
     def localize(
-        self, touch: Touch, prior: Prior | None = None, top: int | None = None, coverage: float | None = None
+        self,
+        touches: Touch | Sequence[Touch],
+        prior: Prior | None = None,
+        top: int | None = None,
+        coverage: float | None = None,
+        starts: Poses | None = None,
     ) -> Localization:
-        """Return the posterior over poses given a touch, and its `top` distinct hypotheses, refined.
+        """Return the posterior over poses given a touch, or several, and its `top` distinct hypotheses, refined.
 
-        `prior` maps poses (N, 4, 4) in metres to log-weights (N,). With a `coverage`, 0 to 1, the hypotheses are a
-        set that contains the true pose with that probability: see `PoseSet`. Raises TactileLocError if no
-        pose fits the touch.
+        The touches are of the localizer's sensors, and several touches need `T_base_sensor`. `prior` maps poses
+        (N, 4, 4) in metres to log-weights (N,). With a `coverage`, 0 to 1, the hypotheses are a set that contains the
+        true pose with that probability: see `PoseSet`. `starts` are as for `localize_together`. Raises TactileLocError
+        if no pose fits the touches.
         """
-        return localize_together([(self, touch)], prior, top, coverage)
+        given = touches if isinstance(touches, list | tuple) else [cast(Touch, touches)]
+        return localize_together([(self.find_localizer(touch), touch) for touch in given], prior, top, coverage, starts)
+
+    def locate(
+        self, touches: Touch | Sequence[Touch | None] | None, time_s: float | None = None, top: int | None = None
+    ) -> LocatedFrame:
+        """Locate the touches of one frame, for a control loop. A frame without contact, or without a pose, is a result.
+
+        `touches` has an entry for each finger; None is a finger without contact (see `find_touch`). The pose is that
+        of `localize`, and at most `top` are listed. `time_s` is the frame's time, by default the present time since
+        1970. Raises TactileLocError for a touch that cannot be located, such as one of another sensor.
+        """
+        start, time_s = time.perf_counter(), time.time() if time_s is None else time_s
+        try:
+            found = LocatedFrame.of(self.localize(require_contact(touches), top=top))
+        except (NoContactError, GridError) as error:
+            found = LocatedFrame.of_error(error)
+        return replace(found, time_s=time_s, seconds=time.perf_counter() - start)
+
+    def find_most_probable_pose(
+        self, touches: Touch | Sequence[Touch | None] | None, time_s: float | None = None
+    ) -> LocatedFrame:
+        """Return the first pose of `locate`, with its verdict and covariance, for a control loop."""
+        return self.locate(touches, time_s, top=1)
 
     @use_one_blas_thread()
     def localize_many(self, touches: Sequence[Touch], top: int | None = None) -> list[Localization]:
@@ -256,17 +341,20 @@ class Localizer:
         return [scaling.posterior(grid, scores) for grid, scores in scored]
 
     @use_one_blas_thread()
-    def find_most_probable_pose(self, touch: Touch) -> JudgedHypothesis:
-        """Return the first pose of `localize`, refined, with its probability, verdict and covariance."""
-        found = self.localize(touch, top=1)
-        return JudgedHypothesis(**vars(found.best), verdict=found.verdict)
-
-    @use_one_blas_thread()
     def refine(self, touch: Touch, posterior: PosePosterior, indices: Sequence[int]) -> list[RefinedPose]:
         """Refine poses of the posterior's grid, given by `indices`, against the touch; return them in this order."""
         poses = posterior.grid.T_sensor_object
         candidates = [Candidate(poses[index], int(index), float(posterior.log_p[index])) for index in indices]
         return self.refinement.refine(self.make_views([touch]), candidates)
+
+
+def require_contact(touches: Touch | Sequence[Touch | None] | None) -> list[Touch]:
+    """Return the touches of the fingers in contact. Raises NoContactError if there is none."""
+    given = touches if isinstance(touches, list | tuple) else [cast(Touch | None, touches)]
+    found = [touch for touch in given if touch is not None]
+    if not found:
+        raise NoContactError("nothing touches the sensor; press it onto the object")
+    return found
 
 
 def _make_generator(count: int, seed: int) -> np.random.Generator:

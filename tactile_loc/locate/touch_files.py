@@ -19,7 +19,7 @@ from tactile_loc.core.geometry.rigid import axis_angle
 from tactile_loc.core.runtime.errors import NoContactError, TactileLocError, TouchError
 from tactile_loc.core.runtime.formatting import is_unicode, show_name
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.config import SlotConfig, choose_sensor, find_sensor_kind
+from tactile_loc.io.config import SlotConfig, find_sensor_kind
 from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.io.touches import TOUCH_SUFFIXES, TRUE_POSES, list_touches
@@ -185,7 +185,7 @@ def match_localizers(localizer: Localizer, listed: Iterable[ListedTouch]) -> lis
         if one.sensor not in of_sensor:
             sensor = str(one.sensor)
             is_same = _is_read_from(localizer.config.sensor, sensor)
-            of_sensor[sensor] = localizer if is_same else _replace_sensor(localizer, sensor)
+            of_sensor[sensor] = localizer if is_same else localizer.for_sensor(sensor)
         found.append(of_sensor[one.sensor])
     return found
 
@@ -212,11 +212,6 @@ def _find_place(sensor: SlotConfig) -> str | None:
     """Return the absolute path of the file or the calibration folder of a sensor, or None if it has none."""
     place = os.path.realpath(sensor.options.get("path", ""))
     return place if find_sensor_kind(place) == sensor.name else None
-
-
-def _replace_sensor(localizer: Localizer, sensor: str) -> Localizer:
-    config = localizer.config.model_copy(update={"sensor": choose_sensor(sensor)})
-    return Localizer(config, localizer.object, localizer.store, localizer.progress)
 
 
 def read_listed_touch(localizer: Localizer, listed: ListedTouch) -> Touch:

@@ -16,7 +16,7 @@ from tactile_loc.core.runtime.compiled import run_aside
 from tactile_loc.core.runtime.errors import GridError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compare_refined
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.tracking.key_touches import drop_nearest, measure_motion_m
 from tactile_loc.tracking.track_modes import TrackMode
@@ -75,6 +75,13 @@ class KeySearch:
             for key in self.keys
         )
 
+    def add_new_places(self, touches: Sequence[Touch]) -> KeySearch:
+        """Return the search with those of the touches that are at new places as key touches."""
+        found = self
+        for touch in touches:
+            found = found.add(touch) if found.is_new_place(touch) else found
+        return found
+
     def add(self, touch: Touch) -> KeySearch:
         """Return the search with one more key touch; if these are too many, one of the two nearest is dropped."""
         options, keys = self.localizer.config.tracker, [*self.keys, touch]
@@ -82,11 +89,11 @@ class KeySearch:
             keys = drop_nearest(keys, 1e-3 * options.lever_mm)
         return replace(self, keys=tuple(keys))
 
-    def restart(self, touch: Touch, prior: PosePrior | None = None) -> KeySearch:
-        """Return a search whose only key touch is `touch`; a search that is under way is given up."""
+    def restart(self, touches: Sequence[Touch], prior: PosePrior | None = None) -> KeySearch:
+        """Return a search whose only key touches are `touches`; a search that is under way is given up."""
         if self.running is not None:
             self.running.cancel()
-        return KeySearch(self.localizer, (touch,), prior)
+        return KeySearch(self.localizer, tuple(touches), prior)
 
     @property
     def is_due(self) -> bool:
@@ -145,6 +152,6 @@ def locate_keys(
     seen = None if prior is None else prior.view_from(T_base_first)
     here = None if starts is None else invert(T_base_first) @ starts
     try:
-        return localize_together([(localizer, key) for key in keys], seen, starts=here)
+        return localizer.localize(keys, seen, starts=here)
     except GridError:
         return None

@@ -93,6 +93,11 @@ class PoseFilter:
         G[:, TOUCH] = 0.0
         return move(T, UNIT * (G[:, 6:] @ self.errors)), _from_unit(G @ self.covariance @ G.T)
 
+    @property
+    def base_covariance(self) -> Floats:
+        """The covariance (6, 6) of T_base_object, along the base's axes."""
+        return _from_unit(self.covariance[POSE, POSE])
+
     def update(self, seen: SeenPose, share: float) -> PoseFilter:
         """Return the filter after a touch.
 

@@ -102,52 +102,52 @@ class ModeFilter:
             predicted.append(self._view(replace(mode, known=mode.known.predict(creep)), T_base_sensor))
         return predicted
 
-    def follow(self, modes: Sequence[TrackMode], touch: Touch, alike: float) -> list[TrackMode]:
-        """Register modes to a touch and fuse them with it.
+    def follow(self, modes: Sequence[TrackMode], touches: Sequence[Touch], alike: float) -> list[TrackMode]:
+        """Register modes to the touches of a frame and fuse them with these. Modes are in the first touch's frame.
 
-        `alike`, 0 to 1, is the share of the previous touch's errors that this touch has, too.
+        `alike`, 0 to 1, is the share of the previous frame's errors that this frame has, too.
         """
         if not modes:
             return []
-        view = self._look(touch)
+        views = self.localizer.make_views(touches)
         poses = np.stack([mode.T_sensor_object for mode in modes])
         registration = self._nearby if alike > 0 else self._first
-        registered, covariances = registration.follow([view], poses)
+        registered, covariances = registration.follow(views, poses, reported=len(views) > 1)
         followed = []
         for mode, T, covariance in zip(modes, registered, covariances, strict=True):
             if covariance is not None:
-                seen = self._see(touch, T, covariance)
+                seen = self._see(touches, T, covariance)
                 fused = replace(mode, known=mode.known.update(seen, 1 - alike))
-                mode = self._view(fused, np.asarray(touch.T_base_sensor))
+                mode = self._view(fused, np.asarray(touches[0].T_base_sensor))
             followed.append(mode)
         after = np.stack([mode.T_sensor_object for mode in followed])
-        ious = view.imprint_ious(np.concatenate([poses, after]), self.options.image_px).reshape(2, -1)
+        ious = self._average_ious(views, np.concatenate([poses, after])).reshape(2, -1)
         return [
             replace(mode, predicted_iou=float(predicted), imprint_iou=float(iou))
             for mode, predicted, iou in zip(followed, *ious, strict=True)
         ]
 
-    def find_slipped(self, modes: Sequence[TrackMode], touch: Touch, alike: float) -> list[TrackMode]:
-        """Return modes to which the two likeliest modes may have slipped, registered to a touch, the best first.
+    def find_slipped(self, modes: Sequence[TrackMode], touches: Sequence[Touch], alike: float) -> list[TrackMode]:
+        """Return modes to which the two likeliest modes may have slipped, registered to touches, the best first.
 
         `alike` is as for `follow`. Only poses farther from their modes than errors explain are returned.
         """
-        view, T_base_sensor = self._look(touch), np.asarray(touch.T_base_sensor)
-        starts, ends = self._guess_slips(modes, view)
-        registered, covariances = self._first.follow([view], ends)
+        views, T_base_sensor = self.localizer.make_views(touches), np.asarray(touches[0].T_base_sensor)
+        starts, ends = self._guess_slips(modes, views)
+        registered, covariances = self._first.follow(views, ends, reported=len(views) > 1)
         T_base_gel = T_base_sensor @ make_translation(self.gel_m)
         slipped = []
         for k, T, covariance in zip(starts, registered, covariances, strict=True):
             if covariance is None:
                 continue
-            known, seen = modes[k].known, self._see(touch, T, covariance)
+            known, seen = modes[k].known, self._see(touches, T, covariance)
             if known.measure_surprise(seen, 1 - alike) > self.options.slip_surprise:
                 creep = estimate_motion_errors(np.diag(self._slip_std**2), T_base_gel, known.T_base_object)
                 slipped.append(TrackMode(known.predict(creep).update(seen, 1.0), T, covariance))
         if not slipped:
             return []
-        ious = self.explain(slipped, [touch])
-        nats = compute_nats(np.array(ious), 1)
+        ious = self.explain(slipped, touches)
+        nats = compute_nats(np.array(ious), len(touches))
         return self.keep_distinct(
             [
                 replace(self._view(mode, T_base_sensor), imprint_iou=iou, nats=float(weight))
@@ -168,7 +168,7 @@ class ModeFilter:
         for hypothesis in found.hypotheses[: self.options.modes]:
             if hypothesis.refined.covariance is not None:
                 T, covariance = hypothesis.T_sensor_object, hypothesis.refined.covariance
-                known = PoseFilter.of_touch(self._see(touch, T, covariance))
+                known = PoseFilter.of_touch(self._see([touch], T, covariance))
                 nats = math.log(max(hypothesis.probability, 1e-300))
                 modes.append(self._view(TrackMode(known, T, covariance, nats, hypothesis.imprint_iou), T_base_sensor))
         return modes
@@ -190,11 +190,13 @@ class ModeFilter:
     def explain(self, modes: Sequence[TrackMode], touches: Sequence[Touch]) -> list[float]:
         """Return how well modes explain touches: their mean imprint IoUs, 0 to 1."""
         poses = np.array([mode.known.T_base_object for mode in modes]).reshape(-1, 4, 4)
-        each = [
-            self._look(touch).imprint_ious(invert(np.asarray(touch.T_base_sensor)) @ poses, self.options.image_px)
-            for touch in touches
-        ]
-        return np.mean(each, axis=0).tolist()
+        views = self.localizer.make_views(touches)
+        return self._average_ious(views, invert(np.asarray(touches[0].T_base_sensor)) @ poses).tolist()
+
+    def _average_ious(self, views: Sequence[View], T_first_object: Poses) -> Floats:
+        """Return the mean imprint IoUs (K,), 0 to 1, of poses (K, 4, 4), metres, in the first sensor's frame."""
+        each = [view.imprint_ious(T_first_object, self.options.image_px) for view in views]
+        return np.asarray(np.mean(each, axis=0))
 
     def keep_distinct(self, modes: Sequence[TrackMode]) -> list[TrackMode]:
         """Return the likeliest modes, except modes near a likelier one or much less probable than the best one."""
@@ -205,7 +207,7 @@ class ModeFilter:
         of = merge_modes(poses, self._metric, self.localizer.source.setup.merge_radius_m, self.options.modes)
         return [ordered[k] for k in np.unique(of[of >= 0])]
 
-    def _guess_slips(self, modes: Sequence[TrackMode], view: View) -> tuple[list[int], Floats]:
+    def _guess_slips(self, modes: Sequence[TrackMode], views: Sequence[View]) -> tuple[list[int], Floats]:
         """Guess poses to which the two likeliest modes may have slipped, register them, and keep distinct ones.
 
         Returns the numbers (K,) of their modes, and their poses (K, 4, 4), metres, in the sensor frame.
@@ -217,24 +219,25 @@ class ModeFilter:
         R = Rotation.from_rotvec(moves[:, 3:]).as_matrix()
         moved = make_transform(R, self.gel_m - R @ self.gel_m + moves[:, :3])
         ends = self._first.register_coarsely(
-            [view], moved @ np.stack([modes[k].T_sensor_object for k in numbers.tolist()])
+            views, moved @ np.stack([modes[k].T_sensor_object for k in numbers.tolist()])
         )
-        ious = view.imprint_ious(ends, self.options.image_px)
+        ious = self._average_ious(views, ends)
         order = np.argsort(-ious, kind="stable")
         of = merge_modes(ends[order], self._metric, self.localizer.source.setup.merge_radius_m, self.options.modes)
         kept = order[np.unique(of[of >= 0])]
         return numbers[kept].tolist(), ends[kept]
 
-    def _look(self, touch: Touch) -> View:
-        return View(touch, self.localizer.scene.match_touch(touch))
-
     def _view(self, mode: TrackMode, T_base_sensor: Floats) -> TrackMode:
         T, covariance = mode.known.view_from(T_base_sensor, self.gel_m)
         return replace(mode, T_sensor_object=T, covariance=covariance)
 
-    def _see(self, touch: Touch, T_sensor_object: Floats, covariance: Floats) -> SeenPose:
-        """Return a pose (4, 4), metres, registered to a touch with a covariance (6, 6), in the filter's form."""
-        std_m, std_rad = (0.0, 0.0) if self.relative else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
+    def _see(self, touches: Sequence[Touch], T_sensor_object: Floats, covariance: Floats) -> SeenPose:
+        """Return a pose (4, 4), metres, registered to touches with a covariance (6, 6), in the filter's form.
+
+        For several touches, the covariance already contains the errors of the sensors' poses.
+        """
+        touch, known = touches[0], self.relative or len(touches) > 1
+        std_m, std_rad = (0.0, 0.0) if known else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
         sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
         common, covariance = self.options.common, self.options.touch_noise * covariance
         return SeenPose(

@@ -7,17 +7,14 @@ earlier touches. The other is the verdict of the search that found the pose.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.pose_words import describe_first
-from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.io.options import TrackerOptions
 from tactile_loc.locate.result.located_frame import LocatedFrame
-from tactile_loc.locate.result.verdict import Verdict, explain_verdict
+from tactile_loc.locate.result.verdict import Verdict
 
 Floats = NDArray[np.float64]
 
@@ -27,26 +24,17 @@ class TrackedPose(LocatedFrame):
     """The object's pose at one frame of a track.
 
     The poses have `covariances` (K, 6, 6), as in RefinedPose. If their probabilities sum to less than 1, the rest is
-    the probability that the pose is elsewhere. Before the first touch, there is no pose.
+    the probability that the pose is elsewhere. Before the first touch, there is no pose. The poses are in the frame of
+    the first sensor in contact or, without contact, of the one that was in contact last.
 
     `verdict` is as in a run, with the tracker's threshold of a poor fit (`tracker.least_iou`). Without contact, poses
     are predicted. `searched` is true if poses were searched nearby or on the whole object, which takes longer.
     `slipped` is true at the frame whose touch shows that the object has moved.
     """
 
-    time_s: float = math.nan
     covariances: Floats = field(default_factory=lambda: np.empty((0, 6, 6)))
     searched: bool = False
     slipped: bool = False
-
-    def __str__(self) -> str:
-        """Return the time, the verdict, the first pose in mm and degrees, and its imprint IoU, in words."""
-        lines = [f"{self.verdict} at {self.time_s:.3f} s: {explain_verdict(self.verdict)}"]
-        if (T := self.T_sensor_object) is not None:
-            lines.append(describe_first(T, len(self.probabilities), "sensor's"))
-        if math.isfinite(self.imprint_iou):
-            lines.append(f"imprint IoU {format_percent(self.imprint_iou)}")
-        return "\n".join(lines)
 
 
 @dataclass(frozen=True)

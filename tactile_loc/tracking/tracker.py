@@ -1,11 +1,12 @@
-"""Tracking of an object from frame to frame, while a sensor slides and rotates over it.
+"""Tracking of an object from frame to frame, while sensors slide and rotate over it.
 
-A few possible poses, the modes, are predicted from the sensor's motion and registered to each touch. Prediction and
-touch are fused. So the prediction determines what the touch does not show, such as a bolt's rotation.
+A few possible poses, the modes, are predicted from the sensors' motion and registered to the touches of each frame.
+Prediction and touch are fused. So the prediction determines what the touch does not show, such as a bolt's rotation.
 
 Key touches are touches at places far apart. They are located together, in another thread. The result decides between
 modes and how far to trust them. If a touch shows that the object has slipped, poses nearby are tried. If no pose
-explains a touch, the whole object is searched again.
+explains a touch, the whole object is searched again. From time to time, key touches are located without the pose of
+the track, to check it.
 """
 
 from __future__ import annotations
@@ -45,14 +46,14 @@ EXPECTED_SURPRISE = 8.0  # squared error, in standard deviations, of a pose that
 class Stayed:
     """A track before a slip, which is followed on: its likeliest mode, its trust and its key touches.
 
-    `gain` is the imprint IoU by which it has predicted the `touches` since then better than the track after the slip.
+    `gain` is the imprint IoU by which it has predicted the `frames` since then better than the track after the slip.
     """
 
     modes: list[TrackMode]
     trust: TrackTrust
     search: KeySearch
     gain: float = 0.0
-    touches: int = 0
+    frames: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,7 @@ class Motion:
 
 
 class Tracker:
-    """Tracks one object from frame to frame, by touches of one sensor.
+    """Tracks one object from frame to frame, by touches of one or several sensors.
 
     The object is assumed to rest, except for a slow creep. The creep in one second has standard deviations of `creep_m`
     metres along and `creep_rad` radians about each axis. The object may also slip or jump. The errors of sensor poses
@@ -92,7 +93,12 @@ class Tracker:
             raise ConfigError(f"an object cannot creep by {creep_m} m and {creep_rad} rad; give 0 or more")
         self.localizer, self.options, self.live = localizer, localizer.config.tracker, live
         self._filter = ModeFilter(localizer, np.diag(np.square([creep_m] * 3 + [creep_rad] * 3)))
+        self._latest: TrackedPose | None = None
         self._begin([], TrackTrust(self.options, limit=Verdict.NOT_FOUND, settled=False))
+
+    def latest(self) -> TrackedPose | None:
+        """Return the result of the latest `update`, or None before the first. Any thread may call it at any time."""
+        return self._latest
 
     def start(self, T_base_object: Floats, covariance: Floats) -> None:
         """Start again with the object at T_base_object (4, 4), metres, with a covariance (6, 6), as in RefinedPose.
@@ -108,8 +114,10 @@ class Tracker:
     def _begin(self, modes: list[TrackMode], trust: TrackTrust) -> None:
         self._modes, self._trust, self._search = modes, trust, KeySearch(self.localizer)
         self._time_s = -math.inf
-        self._T_base_sensor: Floats | None = None
-        self._alike = 0.0  # share of the previous touch's errors that the next touch has, too
+        self._T_base_sensor: Floats | None = None  # of the finger whose frame the poses are in
+        self._finger = 0  # its number
+        self._alike = 0.0  # share of the previous frame's errors that the next frame has, too
+        self._check, self._checked_s = KeySearch(self.localizer), math.inf  # the check of a settled track, and its time
         # the search before a touch that no mode explains; the search under way then looks for another pose
         self._undoubted: KeySearch | None = None
         self._expected = 0  # touches where the likeliest mode expected them
@@ -119,54 +127,68 @@ class Tracker:
     def update(
         self,
         time_s: float,
-        touch: Touch | None = None,
+        touches: Touch | Sequence[Touch | None] | None = None,
         T_base_sensor: Floats | None = None,
         motion: Motion | None = None,
     ) -> TrackedPose:
-        """Return the pose at `time_s` seconds, given a touch, or None without contact.
+        """Return the pose at `time_s` seconds, given the touch of one finger, or an entry for each finger.
 
-        The sensor's pose comes from the touch, from `T_base_sensor` (4, 4), metres, or from the sensor's `motion` since
-        the previous frame. Give poses for all frames, or motions for all. Raises TouchError if neither is given, if
-        time runs backwards, or for a touch of another sensor.
+        None is a finger without contact. A finger has the same place in the list at all frames. Several fingers need
+        `Touch.T_base_sensor`. The pose of a single sensor may also come from `T_base_sensor` (4, 4), metres, or from
+        the sensor's `motion` since the previous frame. Give poses for all frames, or motions for all. Raises TouchError
+        if neither is given, if time runs backwards, or for a touch of another sensor.
         """
         self._require_later(time_s)
-        if touch is not None:
-            self.localizer.require_own(touch)
+        fingers = [touches] if touches is None or isinstance(touches, Touch) else list(touches)
+        seen = [touch for touch in fingers if touch is not None]
+        for touch in seen:
+            self.localizer.find_localizer(touch)
             require_depths(touch, "a track")
-        T, added = self._place(time_s, touch, T_base_sensor, motion)
+        if len(fingers) == 1:
+            T, added = self._place(time_s, fingers[0], T_base_sensor, motion)
+            finger = 0
+        else:
+            T, added = self._place_fingers(time_s, seen, T_base_sensor, motion), None
+            finger = next((k for k, touch in enumerate(fingers) if touch is not None), self._finger)
+        if finger != self._finger:
+            self._alike = 0.0
         moved_m = 0.0 if self._T_base_sensor is None else self._motion_m(self._T_base_sensor, T)
         passed_s = time_s - self._time_s if math.isfinite(self._time_s) else 0.0
-        self._time_s, self._T_base_sensor = time_s, T
+        self._time_s, self._T_base_sensor, self._finger = time_s, T, finger
         self._alike *= math.exp(-1e3 * moved_m / self.options.apart_mm)
         self._modes = self._filter.predict(self._modes, T, passed_s, added)
         if self._stayed is not None:
             stayed = self._filter.predict(self._stayed.modes, T, passed_s, added)
             self._stayed = replace(self._stayed, modes=stayed)
-        if touch is None:
+        if not seen:
             self._alike = 0.0  # the next contact will have new errors
             return self._result(math.nan, self._search_on(), touched=False)
-        same = touch.T_base_sensor is not None and np.array_equal(touch.T_base_sensor, T)
-        return self._update_touched(touch if same else replace(touch, T_base_sensor=T))
+        first = seen[0]
+        if first.T_base_sensor is None or not np.array_equal(first.T_base_sensor, T):
+            seen[0] = replace(first, T_base_sensor=T)
+        return self._update_touched(seen)
 
-    def _update_touched(self, touch: Touch) -> TrackedPose:
-        """Follow the modes to a touch, look for a slip, and search on."""
+    def _update_touched(self, touches: Sequence[Touch]) -> TrackedPose:
+        """Follow the modes to the touches of a frame, look for a slip, and search on."""
         before, alike = self._modes, self._alike
-        self._modes, self._alike = self._filter.keep_distinct(self._filter.follow(before, touch, alike)), 1.0
+        self._modes, self._alike = self._filter.keep_distinct(self._filter.follow(before, touches, alike)), 1.0
         if self._stayed is not None:
-            self._weigh_slip(self._stayed, touch, alike)
-        clear = 100 * touch.contact_share >= self.options.clear_percent
+            self._weigh_slip(self._stayed, touches, alike)
+        clear = 100 * max(touch.contact_share for touch in touches) >= self.options.clear_percent
         certain = bool(self._modes) and self._trust.limit is Verdict.CERTAIN
         doubted = clear and certain and self._trust.doubts(self._modes[0].predicted_iou)
         self._expected += certain and not doubted and self._modes[0].known.surprise < EXPECTED_SURPRISE
         self._doubts = self._doubts + doubted if doubted or not clear else 0
         fitted = self._trust.usual_iou >= FITTED_IOU  # a track that never fitted is corrected, and shows no slip
-        moved = clear and certain and self._suspects_slip(doubted) and self._slip(before, touch, alike)
+        moved = clear and certain and self._suspects_slip(doubted) and self._slip(before, touches, alike)
         if clear and not doubted and self._undoubted is not None:
             self._search, self._undoubted = self._undoubted, None  # the doubtful touches were bad
         if not moved and self._doubts == MOST_DOUBTS and self._undoubted is None:
-            self._search, self._undoubted = self._search.restart(touch), self._search
-        elif not moved and self._searches and self._search.is_new_place(touch):
-            self._search = self._search.add(touch)
+            self._search, self._undoubted = self._search.restart(touches), self._search
+        elif not moved and self._searches:
+            self._search = self._search.add_new_places(touches)
+        elif not moved and clear and not doubted:
+            self._check = self._check.add_new_places(touches)
         searched = self._search_on()
         if not self._modes:
             return self._result(0.0, searched)
@@ -181,6 +203,7 @@ class Tracker:
 
     def _search_on(self) -> bool:
         """Begin a search if one is due, use the result of one that has ended, and return whether one was under way."""
+        self._check_on()
         if self._searches and self._search.is_due:
             self._search = self._search.begin(self._modes, self._time_s)
         if self._search.running is None:
@@ -190,33 +213,52 @@ class Tracker:
             self._adopt(finished)
         return True
 
+    def _check_on(self) -> None:
+        """Begin a check of a settled track if one is due, or use its result: key touches located without the track.
+
+        If the touches alone are certain of another pose, the track is not certain, and searches again.
+        """
+        if self._searches:
+            self._check, self._checked_s = self._check.restart(()), math.inf
+            return
+        self._checked_s = min(self._checked_s, self._time_s)
+        if self._check.is_due and self._time_s - self._checked_s >= self.options.check_s > 0:
+            self._check, self._checked_s = self._check.begin(self._modes, self._time_s), self._time_s
+        self._check, finished = self._check.finish(self._time_s, waits=not self.live)
+        if finished is None:
+            return
+        self._check = self._check.restart(())
+        if finished.found is not None and finished.found.verdict is Verdict.CERTAIN and finished.gains[0] > -np.inf:
+            self._search = self._search.restart(finished.keys)
+            self._trust = self._trust.restart(Verdict.AMBIGUOUS, 0.5, self._trust.usual_iou)
+
     def _suspects_slip(self, doubted: bool) -> bool:
         """Return whether a certain mode's registration to the touch leads surprisingly far."""
         surprise, known = self._modes[0].known.surprise, self._expected >= LEAST_EXPECTED
         return known and (surprise > self.options.slip_surprise or (doubted and surprise > EXPECTED_SURPRISE))
 
-    def _slip(self, before: Sequence[TrackMode], touch: Touch, alike: float) -> bool:
+    def _slip(self, before: Sequence[TrackMode], touches: Sequence[Touch], alike: float) -> bool:
         """Look for poses to which the modes may have slipped since `before`; return whether one was accepted."""
-        slipped, tracked = self._filter.find_slipped(before, touch, alike), self._modes[0]
+        slipped, tracked = self._filter.find_slipped(before, touches, alike), self._modes[0]
         if not slipped or slipped[0].imprint_iou < tracked.predicted_iou + self.options.slip_iou:
             return False
         if tracked.known.surprise < self.options.slip_surprise and self._trust.doubts(slipped[0].imprint_iou):
             return False  # the touch is bad: no pose explains it as well as usual
         self._stayed = Stayed(list(before[:1]), self._trust, self._search)
-        prior = self._filter.make_slip_prior(before[0], np.asarray(touch.T_base_sensor))
+        prior = self._filter.make_slip_prior(before[0], np.asarray(touches[0].T_base_sensor))
         if self._trust.doubts(slipped[0].imprint_iou):
             prior = replace(prior, most_nats=min(prior.most_nats, JUMPED_NATS))  # perhaps the object has jumped
-        self._modes, self._search, self._undoubted = slipped, self._search.restart(touch, prior), None
+        self._modes, self._search, self._undoubted = slipped, self._search.restart(touches, prior), None
         self._trust = self._trust.restart(Verdict.AMBIGUOUS, 0.0, slipped[0].imprint_iou)
         return True
 
-    def _weigh_slip(self, stayed: Stayed, touch: Touch, alike: float) -> None:
+    def _weigh_slip(self, stayed: Stayed, touches: Sequence[Touch], alike: float) -> None:
         """Weigh the pose after a slip against that without the slip; take the slip back if it did not happen."""
-        modes = self._filter.follow(stayed.modes, touch, alike)
+        modes = self._filter.follow(stayed.modes, touches, alike)
         slipped_iou = self._modes[0].predicted_iou if self._modes else 0.0
-        gain, touches = stayed.gain + modes[0].predicted_iou - slipped_iou, stayed.touches + 1
-        self._stayed = replace(stayed, modes=modes, gain=gain, touches=touches)
-        if touches == MOST_WEIGHED:
+        gain, frames = stayed.gain + modes[0].predicted_iou - slipped_iou, stayed.frames + 1
+        self._stayed = replace(stayed, modes=modes, gain=gain, frames=frames)
+        if frames == MOST_WEIGHED:
             self._stayed = None
             if gain > 0:
                 self._modes, self._trust, self._search = modes, stayed.trust, stayed.search
@@ -261,7 +303,7 @@ class Tracker:
         if self._trust.settled:
             self._modes = self._modes[:1]
         elif found.verdict is Verdict.POOR_FIT and len(keys) > 1:
-            self._search = self._search.restart(keys[-1])  # the object has moved since the first key touches
+            self._search = self._search.restart(keys[-1:])  # the object has moved since the first key touches
 
     def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
         """Return the distance the gel moved between sensor poses (4, 4), metres; a rotation counts with `lever_mm`."""
@@ -273,6 +315,25 @@ class Tracker:
                 f"a frame at {time_s:g} s cannot follow one at {self._time_s:g} s; give frames in the order of time, "
                 "or make a new Tracker for another sequence"
             )
+
+    def _place_fingers(
+        self, time_s: float, touches: Sequence[Touch], T_base_sensor: Floats | None, motion: Motion | None
+    ) -> Floats:
+        """Return the pose (4, 4), metres, of the first sensor in contact or, without contact, that of the last frame.
+
+        Raises TouchError unless the pose of each touch's sensor comes from the touch.
+        """
+        unknown = [touch.name for touch in touches if touch.T_base_sensor is None]
+        moved = T_base_sensor is not None or motion is not None
+        if unknown or moved or (self._T_base_sensor is not None and self._filter.relative):
+            raise TouchError(
+                f"the frame at {time_s:g} s has several fingers, so each touch must have its T_base_sensor; "
+                + (f"{unknown[0]} has none" if unknown else "leave out other poses and motions")
+            )
+        self._filter.relative = False
+        if touches:
+            return np.asarray(touches[0].T_base_sensor)
+        return np.eye(4) if self._T_base_sensor is None else self._T_base_sensor
 
     def _place(
         self, time_s: float, touch: Touch | None, T_base_sensor: Floats | None, motion: Motion | None
@@ -301,5 +362,18 @@ class Tracker:
         if self._modes:
             p = self._trust.share(np.exp([mode.nats - self._modes[0].nats for mode in self._modes]))
         verdict = self._trust.judge(bool(self._modes), imprint_iou, touched)
-        seen = (verdict, T, p, covariances[0] if self._modes else None, imprint_iou)
-        return TrackedPose(*seen, time_s=self._time_s, covariances=covariances, searched=searched, slipped=slipped)
+        best = self._modes[0] if self._modes else None
+        self._latest = TrackedPose(
+            verdict,
+            T,
+            p,
+            None if best is None else best.covariance,
+            imprint_iou,
+            time_s=self._time_s,
+            T_base_object=None if best is None else best.known.T_base_object,
+            base_covariance=None if best is None else best.known.base_covariance,
+            covariances=covariances,
+            searched=searched,
+            slipped=slipped,
+        )
+        return self._latest

@@ -1,14 +1,16 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
+import time
 
 import numpy as np
 import pytest
 import trimesh
 from locate_helpers import list_poses, measure_errors_mm
-from message_helpers import naming
+from message_helpers import missing, naming
 
-from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
+from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about, transform_points
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
@@ -16,7 +18,7 @@ from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
@@ -28,6 +30,7 @@ from tactile_loc.store.store import StageStore
 SMALL = {"shape_px": 60, "sensor": {"name": "gelslim", "image_size_px": [100, 100], "gel": "rigid"}}
 AMPLE = {"name": "face", "min_contact_percent": 2.0}  # enough contact to locate the object
 FINE = {**SMALL, "grid": {**AMPLE, "spacing_mm": 3.0}}
+MINI = {"name": "gelsight-mini", "image_size_px": [100, 75]}
 COARSE = {**SMALL, "grid": {**AMPLE, "spacing_mm": 7.0}}
 
 
@@ -101,6 +104,69 @@ def test_best_pose_is_the_most_probable_refined(pin, touches):
     expected = pin.refine(touch, pin.posterior(touch), [best.grid_index])[0]
     assert np.array_equal(best.T_sensor_object, expected.T_sensor_object)
     assert np.array_equal(pin.find_most_probable_pose(touch).T_sensor_object, expected.T_sensor_object)
+
+
+def test_a_frame_without_contact_is_a_result(pin):
+    for touches in (None, [], [None, None]):
+        found = pin.locate(touches, time_s=12.5)
+        assert found.verdict is Verdict.NO_CONTACT
+        assert found.T_sensor_object is found.T_base_object is None
+        assert found.time_s == 12.5
+        assert str(found).splitlines() == [f"no contact at 12.500 s: {found.says}"]
+
+
+def test_a_frame_that_no_pose_explains_is_a_result(pin, touches, monkeypatch):
+    def fail(*_, **__):
+        raise GridError("no pose fits")
+
+    monkeypatch.setattr(pin, "localize", fail)
+    found = pin.find_most_probable_pose(touches[:1])
+    assert found.verdict is Verdict.NOT_FOUND
+    assert found.says == "no pose fits"
+
+
+def test_a_located_frame_has_the_pose_in_the_base_frame_and_one_line(pin, touches):
+    T = make_translation([0.3, 0.0, 0.1])
+    given = dataclasses.replace(touches[1], T_base_sensor=T)
+    whole, before = pin.localize(given), time.time()
+    found = pin.locate([None, given])
+    assert before <= found.time_s <= time.time()
+    assert np.array_equal(found.T_base_object, whole.T_base_object)
+    assert np.array_equal(found.base_covariance, whole.best.base_covariance)
+    assert len(found.probabilities) == len(whole.hypotheses)
+    (line,) = str(found).splitlines()
+    assert not missing(line, str(found.verdict), f"{found.time_s:.3f} s", "base frame")
+    assert len(str(dataclasses.replace(found, T_base_object=None, says="x\ny")).splitlines()) == 1
+
+
+def test_a_touch_is_found_in_depths_if_there_is_contact(pin, touches):
+    given = Localizer.create("pin", store=pin.store, **COARSE, touch={"unit": "mm", "kind": "indentation"})
+    shape, T = touches[1].contact_shape, make_translation([0.3, 0.0, 0.1])
+    indentation_mm = 1e3 * (shape.press_depth_m - shape.depth_m)
+    touch = given.find_touch(indentation_mm, T, "left")
+    assert touch.name == "left"
+    assert np.array_equal(touch.T_base_sensor, T)
+    np.testing.assert_allclose(1e3 * (touch.press_depth_m - touch.contact_shape.depth_m), indentation_mm, atol=1e-4)
+    assert given.find_touch(np.zeros_like(indentation_mm)) is None
+    with pytest.raises(TouchError):
+        given.find_touch(indentation_mm[:5])
+
+
+def test_touches_of_several_sensors_are_located_by_either_localizer(store):
+    slim = Localizer.create("pin", store=store, **COARSE)
+    mini = slim.for_sensor(MINI)
+    assert mini is slim.for_sensor(MINI) is mini.for_sensor(MINI)
+    assert mini.for_sensor(SMALL["sensor"]) is slim
+    placed = [
+        dataclasses.replace(one, T_base_sensor=invert(one.T_sensor_object))
+        for one in (slim.simulate(1, seed=4)[0], mini.simulate(1, seed=5)[0])
+    ]
+    expected = localize_together([(slim, placed[0]), (mini, placed[1])]).best.T_sensor_object
+    for localizer in (slim, mini, pickle.loads(pickle.dumps(slim))):
+        assert np.array_equal(localizer.localize(placed).best.T_sensor_object, expected)
+    alone = Localizer.create("pin", store=store, **COARSE)
+    with pytest.raises(TouchError, match=naming("gelslim", "for_sensor")):
+        alone.localize(placed)
 
 
 def test_a_batch_of_touches_has_the_results_of_single_touches(pin, touches):

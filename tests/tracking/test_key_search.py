@@ -58,7 +58,7 @@ def test_a_search_ends_with_the_touches_located_together(pin, touches):
 
 
 def test_a_restart_forgets_the_key_touches(pin, touches):
-    search = KeySearch(pin).add(touches[0]).begin((), 0.0).restart(touches[5])
+    search = KeySearch(pin).add(touches[0]).begin((), 0.0).restart(touches[5:6])
     assert search.keys == (touches[5],)
     assert search.running is None
     assert search.is_due
@@ -74,7 +74,7 @@ def test_a_search_also_refines_the_poses_that_the_search_before_listed(pin, touc
     kept = [np.isclose(proposed, start).all(axis=(1, 2)).any() for start in starts]
     assert sum(kept) > 1  # others are merged with a better pose
     assert np.allclose(search.listed[0], touches[0].T_base_sensor @ finished.found.best.T_sensor_object)
-    assert search.restart(touches[5]).listed is None
+    assert search.restart(touches[5:6]).listed is None
 
 
 def finish(search):

@@ -52,7 +52,7 @@ def test_a_followed_mode_explains_its_touch_better_and_knows_the_pose_better(mod
     off = make_translation([3e-4, -2e-4, 1e-4])
     start = modes.start(touch.T_base_sensor @ off @ touch.T_sensor_object, np.diag(STD**2))
     (mode,) = modes.predict([start], np.asarray(touch.T_base_sensor), 0.0, None)
-    (found,) = modes.follow([mode], touch, 0.0)
+    (found,) = modes.follow([mode], [touch], 0.0)
     assert found.imprint_iou >= found.predicted_iou
     assert np.linalg.det(found.covariance) < np.linalg.det(mode.covariance)
     assert found.known.surprise > 0
@@ -66,7 +66,7 @@ def test_a_slip_is_found_among_the_poses_nearby(modes, source, touch, head):
     press_m = touch.indentation_m
     seen = source.draw_touch(lower(poses, np.array([press_m]))[0], press_m, "slipped", np.random.default_rng(0))
     seen = replace(seen, T_base_sensor=touch.T_base_sensor)
-    found = modes.find_slipped(before, seen, 1.0)
+    found = modes.find_slipped(before, [seen], 1.0)
     truth = np.stack([seen.T_sensor_object] * len(found))
     far_m = PoseMetric(head.object).symmetric_distance(np.stack([one.T_sensor_object for one in found]), truth)
     assert far_m.min() < 1e-3

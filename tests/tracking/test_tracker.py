@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from message_helpers import missing, naming
+from message_helpers import naming
 from track_settings import SETTINGS
 
 from tactile_loc.core.geometry.lie import compute_pose_errors, move
@@ -21,12 +22,15 @@ from tactile_loc.io.options import TrackerOptions
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
+from tactile_loc.tracking.key_search import KeySearch
 from tactile_loc.tracking.tracked_pose import TrackedPose, TrackTrust
 from tactile_loc.tracking.tracker import JUMPED_NATS, MOST_DOUBTS, MOST_WEIGHED, Motion, Tracker
 
 SlidingTouches = pytest.importorskip("tactile_loc_benchmark.sliding_touches").SlidingTouches
 
 STD = np.array([5e-4] * 3 + [1e-2] * 3)
+MINI = {"name": "gelsight-mini", "image_size_px": [100, 75]}
+T_BASE_OBJECT = make_transform(rotation_about([0, 0, 1], 0.5), [0.4, 0.1, 0.05])
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +105,9 @@ def at_once(localizer: Localizer, **options: float) -> Localizer:
     """Return a localizer whose trackers finish each search within one frame."""
     options = localizer.config.tracker.model_copy(update={"latency_s": 0, **options})
     config = localizer.config.model_copy(update={"tracker": options})
-    return Localizer(config, localizer.object, localizer.store)
+    made = Localizer(config, localizer.object, localizer.store)
+    made.for_sensor(MINI)
+    return made
 
 
 def test_the_first_touch_is_searched_and_found_up_to_symmetry(pin, sure):
@@ -254,14 +260,90 @@ def test_a_slip_that_did_not_happen_is_taken_back(pin, slide):
     assert off_surface_mm(pin, later[-1], frame.T_sensor_object) < 0.5
 
 
-def test_a_tracked_pose_is_written_as_a_few_lines():
-    T = make_transform(np.eye(3), [0.001, -0.002, 0.03])
-    one = TrackedPose(Verdict.AMBIGUOUS, T[None], np.ones(1), imprint_iou=0.81, time_s=0.5)
-    lines = str(one).splitlines()
-    assert lines[0].startswith("ambiguous at 0.500 s")
-    assert not missing(lines[1], "1.00", "-2.00", "30.00", "1 pose")
-    assert lines[2:] == ["imprint IoU 81 %"]
-    assert len(str(TrackedPose(Verdict.NOT_FOUND)).splitlines()) == 1
+def test_the_latest_result_is_there_for_other_threads(pin, slide):
+    tracker = started(pin, slide)
+    assert tracker.latest() is None
+    found = tracker.update(0.0, slide[0].touch, slide[0].T_base_sensor)
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(tracker.latest).result() is found
+
+
+@pytest.fixture(scope="module")
+def fingers(pin):
+    """Return the localizer of two sensors, and touches of both of them, of an object at rest in the base frame."""
+    mini = pin.for_sensor(MINI)
+    touches = [one.simulate(3, seed=7) for one in (pin, mini)]
+    frames = (pair for frame in zip(*touches, strict=True) for pair in frame)
+    return [replace(touch, T_base_sensor=T_BASE_OBJECT @ invert(touch.T_sensor_object)) for touch in frames]
+
+
+def test_two_fingers_with_different_sensors_are_tracked_together(pin, fingers):
+    left, right = fingers[:2]
+    one, two = Tracker(pin), Tracker(pin)
+    for tracker in (one, two):
+        tracker.start(move(T_BASE_OBJECT, 0.5 * STD), np.diag(STD**2))
+    alone, both = one.update(0.0, left), two.update(0.0, [left, right])
+    assert both.verdict is Verdict.CERTAIN
+    assert off_mm(pin, both.T_base_object, T_BASE_OBJECT) < 0.3
+    assert np.linalg.det(both.base_covariance) < np.linalg.det(alone.base_covariance)
+    off_m = np.linalg.norm((left.T_base_sensor @ both.T_sensor_object - both.T_base_object)[:3, 3])
+    assert off_m < 5e-4, "the poses differ by the error of the sensor's pose only"
+
+
+def test_fingers_may_lose_contact_and_find_it_again(pin, fingers):
+    left, right = fingers[:2]
+    tracker = Tracker(pin)
+    tracker.start(move(T_BASE_OBJECT, 0.5 * STD), np.diag(STD**2))
+    shown = [[left, right], [None, right], [None, None], [left, None], [left, right]]
+    found = [tracker.update(0.02 * k, some) for k, some in enumerate(shown)]
+    words = [one.verdict for one in found]
+    assert words == [Verdict.CERTAIN] * 2 + [Verdict.NO_CONTACT] + [Verdict.CERTAIN] * 2
+    assert all(off_mm(pin, one.T_base_object, T_BASE_OBJECT) < 0.3 for one in found)
+
+
+def test_two_fingers_are_searched_together_from_an_unknown_start(pin, fingers):
+    tracker = Tracker(at_once(pin))
+    found = tracker.update(0.0, fingers[:2])
+    assert found.searched
+    assert [key.name for key in tracker._search.keys] == [touch.name for touch in fingers[:2]]
+    assert found.verdict is pin.localize(fingers[:2]).verdict
+
+
+def test_several_fingers_need_the_pose_of_each_sensor(pin, fingers):
+    left, right = fingers[:2]
+    tracker = Tracker(pin)
+    nowhere = replace(right, T_base_sensor=None)
+    with pytest.raises(TouchError, match=naming("0.5 s", right.name, "T_base_sensor")):
+        tracker.update(0.5, [left, nowhere])
+    with pytest.raises(TouchError, match=naming("0.5 s")):
+        tracker.update(0.5, [left, right], np.eye(4))
+
+
+def test_touches_that_are_certain_of_another_pose_end_the_trust_in_a_start(pin, fingers):
+    """The check of a track locates key touches without its pose."""
+    tracker = Tracker(at_once(pin, check_s=0.1))
+    tracker.start(T_BASE_OBJECT, np.diag(STD**2))
+    shown = [[fingers[k], fingers[k + 1]] for k in (0, 2, 4)]
+    held = [tracker.update(0.02 * k, some) for k, some in enumerate(shown)]
+    assert {one.verdict for one in held} == {Verdict.CERTAIN}
+    wrong = move(T_BASE_OBJECT, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
+    located = pin.localize(fingers)
+    assert located.verdict is Verdict.CERTAIN
+    tracker._modes = [replace(tracker._modes[0], known=replace(tracker._modes[0].known, T_base_object=wrong))]
+    tracker._check = KeySearch(tracker.localizer, tuple(fingers))
+    tracker._time_s = 0.2
+    tracker._check_on()
+    assert not tracker._trust.settled
+    assert tracker._trust.limit is Verdict.AMBIGUOUS
+    assert tracker._search.is_due
+
+
+def test_a_check_that_agrees_leaves_the_track_as_it_is(pin, fingers):
+    tracker = Tracker(at_once(pin, check_s=0.05))
+    tracker.start(T_BASE_OBJECT, np.diag(STD**2))
+    found = [tracker.update(0.02 * k, fingers[:2]) for k in range(8)]
+    assert {one.verdict for one in found} == {Verdict.CERTAIN}
+    assert tracker._checked_s > 0.05
 
 
 def test_the_pose_is_predicted_without_contact_with_growing_covariance(pin, slide):

@@ -204,4 +204,4 @@ def view_in_base(found: Localization) -> LocatedFrame:
     poses = [one.T_base_object for one in found.hypotheses if one.T_base_object is not None]
     if len(poses) < len(found.hypotheses):
         return located
-    return replace(located, T_sensor_object_modes=np.stack(poses), covariance=found.best.base_covariance)
+    return replace(located, T_sensor_object_modes=np.stack(poses), covariance=located.base_covariance)

@@ -117,16 +117,18 @@ class JointRegistration:
             scales_mm = scales_mm[EARLY:]
         return self._register(problem, T_first_object, scales_mm, prior=prior).T_first_object
 
-    def follow(self, views: Sequence[View], T_first_object: Poses) -> tuple[Poses, Covariances]:
+    def follow(self, views: Sequence[View], T_first_object: Poses, reported: bool = False) -> tuple[Poses, Covariances]:
         """Register poses (K, 4, 4), metres, that are almost right; return the new poses and their covariances.
 
         Use this method in control loops. Nothing is rendered, so a new pose can be worse than before. A covariance
-        (6, 6) is as in RefinedPose. It is None if the touches give no information about the pose.
+        (6, 6) is as in RefinedPose. It is None if the touches give no information about the pose. If `reported`, poses
+        and covariances are relative to the reported pose of the first sensor: see `Hypothesis.T_base_object`.
         """
         found = self._register(
             self._pose_problem(views), T_first_object, self.list_scales_mm(self.options.iterations), FINELY
         )
-        return found.T_first_object, found.compute_covariances()
+        poses = _scale(found.registered.T_reported, 1 / MILLI) if reported else found.T_first_object
+        return poses, found.compute_covariances(reported=reported)
 
     def step(self, views: Sequence[View], T_first_object: Poses, scale_mm: float) -> tuple[Poses, Covariances]:
         """Take one registration step from poses (K, 4, 4), metres; return the new poses and the covariances.

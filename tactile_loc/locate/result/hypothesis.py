@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.lie import rotate_covariance
 from tactile_loc.core.geometry.rigid import rotation_to_quaternion_xyzw
 from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.locate.result.verdict import Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +105,6 @@ class Hypothesis:
     def is_refined(self) -> bool:
         """Whether the refined pose differs from the grid pose; if not, the imprint IoU means little."""
         return not np.array_equal(self.T_sensor_object, self.T_sensor_object_grid)
-
-
-@dataclass(frozen=True, eq=False)
-class JudgedHypothesis(Hypothesis):
-    """A hypothesis that was located alone, with its own verdict. The verdict on a list is `Localization.verdict`."""
-
-    verdict: Verdict = field(kw_only=True)
 
 
 @dataclass(frozen=True)

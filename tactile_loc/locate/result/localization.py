@@ -259,6 +259,11 @@ class Localization:
         """The most probable hypothesis."""
         return self.hypotheses[0]
 
+    @property
+    def T_base_object(self) -> NDArray[np.float64] | None:  # noqa: N802 - the transform's name
+        """The most probable pose (4, 4), metres, in the frame of the sensors' poses; None if these are unknown."""
+        return self.best.T_base_object
+
     @cached_property
     def verdict(self) -> Verdict:
         """How far the first hypothesis can be trusted, in one word.

@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import rotate_covariance
+from tactile_loc.core.geometry.pose_words import describe_first
 from tactile_loc.core.runtime.errors import GridError, NoContactError, TactileLocError
+from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.io.json_keys import Key, Keys, write_keys
 from tactile_loc.locate.result.freedom import Freedom
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.result.verdict import Verdict, name_verdict
+from tactile_loc.locate.result.verdict import Verdict, explain_verdict, name_verdict
 
 Floats = NDArray[np.float64]
 
@@ -52,6 +54,9 @@ class LocatedFrame:
     `imprint_iou`, 0 to 1, states how well the first pose explains the touch; NaN without a touch. `seconds` is the time
     to locate the frame; NaN if not measured. `freedom` is what the touches leave open about the first pose; None if it
     is unknown, as in a track.
+
+    `time_s` is when the frame was taken, seconds; NaN if unknown. `T_base_object` (4, 4), metres, is the first pose in
+    the frame of the sensors' poses, with `base_covariance` (6, 6); None if the sensors' poses are unknown.
     """
 
     verdict: Verdict | None
@@ -62,6 +67,9 @@ class LocatedFrame:
     seconds: float = math.nan
     says: str = ""
     freedom: Freedom | None = None
+    time_s: float = math.nan
+    T_base_object: Floats | None = None
+    base_covariance: Floats | None = None
 
     @classmethod
     def of(cls, localization: Localization) -> LocatedFrame:
@@ -77,6 +85,8 @@ class LocatedFrame:
             best.imprint_iou,
             seconds,
             freedom=localization.freedom,
+            T_base_object=best.T_base_object,
+            base_covariance=best.base_covariance,
         )
 
     @classmethod
@@ -111,6 +121,20 @@ class LocatedFrame:
     def word(self) -> str:
         """The verdict, or "refused" if there is no verdict."""
         return name_verdict(self.verdict)
+
+    def __str__(self) -> str:
+        """Return one line: the verdict, the time, and the first pose in mm and degrees, or why there is none."""
+        said = [self.word if math.isnan(self.time_s) else f"{self.word} at {self.time_s:.3f} s"]
+        if (T := self.T_sensor_object) is None:
+            return f"{said[0]}: {self.says or explain_verdict(self.verdict)}"
+        count = len(self.probabilities)
+        if self.T_base_object is None:
+            said.append(describe_first(T, count, "sensor's"))
+        else:
+            said.append(describe_first(self.T_base_object, count, "base"))
+        if math.isfinite(self.imprint_iou):
+            said.append(f"imprint IoU {format_percent(self.imprint_iou)}")
+        return "; ".join(said)
 
     def to_json(self) -> dict[str, Any]:
         """Return the values of LOCATED, as JSON values; the poses are not among them."""
