@@ -31,6 +31,7 @@ from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.touches import read_touch, touch_from_image
 from tactile_loc.locate.method import LocatingMethod, Query, Refinement
 from tactile_loc.locate.outliers import localize_agreeing, localize_by_likeliest_law, require_within_reach
+from tactile_loc.locate.preparation import prepare_localizers
 from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
@@ -87,9 +88,12 @@ class Localizer:
         symmetry: str = "auto",
         store: StageStore | str | Path | None = None,
         progress: Progress | None = None,
+        prepared: bool = False,
         **settings: Any,
     ) -> Self:
         """Load an object (a mesh file, or a demo object's name) and make its localizer; `store` may be a folder.
+
+        If `prepared`, do all work of the first calls now: see `prepare`.
 
         `settings` are the entries of RunConfig: slots by name (`refiner="icp"`) or with options (`grid={"name": "face",
         "spacing_mm": 3}`), `top`, `seed`, ... Raises TactileLocError for bad input.
@@ -97,7 +101,17 @@ class Localizer:
         chosen = {"path": str(object), "units": units, "symmetry": symmetry}
         config = RunConfig.from_dict({"object": chosen, **settings}, "Localizer.create")
         store = store if isinstance(store, StageStore) else StageStore(store)
-        return cls(config, load_stored_object(object, units, symmetry, store), store, progress)
+        made = cls(config, load_stored_object(object, units, symmetry, store), store, progress)
+        return made.prepare() if prepared else made
+
+    def prepare(self) -> Self:
+        """Build, load and compile what calls with touches of all sensors need, and return the localizer.
+
+        After it, no call compiles, fits, or reads from the disk. The first time takes about a minute if nothing is
+        compiled yet, and later times a few seconds. The localizer's progress shows it.
+        """
+        prepare_localizers([self, *(one for one in self._known if one is not self)])
+        return self
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle only what the localizer was made from. The copy makes its components and loads the rest, if stored."""

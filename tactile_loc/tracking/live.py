@@ -78,10 +78,7 @@ class LiveLocator:
 
     def prepare(self) -> None:
         """Build, load and compile everything once, so that the first frame need not wait."""
-        touch = self.localizer.simulate(1, self.localizer.config.seed)[0]
-        self.localizer.localize(touch)
-        if self.tracker is not None:
-            Tracker(self.localizer).update(0.0, touch, np.eye(4))
+        self.localizer.prepare()
 
     def locate(self, frame: SourceFrame, dropped: int = 0) -> LiveResult:
         """Locate a frame. `dropped` is the number of frames dropped so far.

@@ -1,4 +1,4 @@
-"""`tactile-loc build`: build an object's model ahead of time."""
+"""`tactile-loc build`: do all that the first call would do ahead of time."""
 
 from __future__ import annotations
 
@@ -30,14 +30,15 @@ Given = Annotated[
 
 
 def build(given: Given, store: options.Store = None) -> dict[str, Any]:
-    """Build an object's model ahead of time.
+    """Build an object's model ahead of time, and compile what its touches need.
 
-    Without this command, the first `run` builds the model. Stages in the store are reused.
+    Without this command, the first `run` does this. Stages in the store are reused.
     """
     settings = options.make_config(given)
     localizer = options.open_localizer(settings, store)
     start = time.perf_counter()
     build_model(localizer, _require_press_depth_m(localizer))
+    localizer.prepare()
     return _report(localizer, time.perf_counter() - start)
 
 

@@ -67,6 +67,10 @@ class PlaceSearch:
         self._banks = GridScores(setup.encoder, new_matcher, banks.bank, HIGHEST_M, follow=True)
         self._mask_banks = GridScores(setup.encoder, new_matcher, banks.mask_bank, HIGHEST_M, follow=True)
 
+    def prepare(self, compared_m: float) -> None:
+        """Build the bank of touches that are compared at this press depth, metres."""
+        self._banks.matcher(compared_m)
+
     @property
     def nbytes(self) -> int:
         """The memory of the places, their banks, and the poses proposed for touches that still exist, bytes."""

@@ -122,6 +122,11 @@ class WholeObjectSource(PoseSource):
             ious = compute_imprint_ious(trusted, poses, options.image_px, self.setup.start_radius_m).mean(axis=1)
         return modes if ious.max() >= UNPROMISING else [modes[int(ious.argmax())]]
 
+    def prepare(self, press_depth_m: float) -> None:
+        """Build or load the places, their bank of this press depth, metres, and train the encoder."""
+        super().prepare(press_depth_m)
+        self.place_search.prepare(press_depth_m * self.setup.scene.geometry.gel.compared_share)
+
     def find_scaling(self) -> TemperatureScaling:
         """Return the shipped scaling from imprint IoUs to probabilities."""
         return SEARCHED
