@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -31,7 +32,7 @@ from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.touches import read_touch, touch_from_image
 from tactile_loc.locate.method import LocatingMethod, Query, Refinement
 from tactile_loc.locate.outliers import localize_agreeing, localize_by_likeliest_law, require_within_reach
-from tactile_loc.locate.preparation import prepare_localizers
+from tactile_loc.locate.preparation import TOUCHES, list_examples, list_presses, place_touches
 from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
@@ -110,8 +111,23 @@ class Localizer:
         After it, no call compiles, fits, or reads from the disk. The first time takes about a minute if nothing is
         compiled yet, and later times a few seconds. The localizer's progress shows it.
         """
-        prepare_localizers([self, *(one for one in self._known if one is not self)])
+        works = [(one, press_m) for one in self._known for press_m in one._list_presses()]
+        with self.progress.task("prepare: presses", len(works)) as advance:
+            for one, press_m in works:
+                one.source.prepare(press_m)
+                advance(1)
+        taken = [place_touches(one.simulate(TOUCHES, self.config.seed, noise="mild")) for one in self._known]
+        examples = [example for touches in taken for example in list_examples(touches)]
+        examples.append(([touches[0] for touches in taken], {}))
+        with self.progress.task("prepare: examples", len(examples)) as advance:
+            for given, asked in examples:
+                with suppress(GridError):
+                    str(self.localize(given, **asked))
+                advance(1)
         return self
+
+    def _list_presses(self) -> list[float]:
+        return list_presses(self.scene.geometry.max_depth_m, self.encoder.capabilities.needs_training)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle only what the localizer was made from. The copy makes its components and loads the rest, if stored."""

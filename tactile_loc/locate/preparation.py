@@ -1,65 +1,37 @@
-"""The preparation of localizers: everything that their first calls would do, so that no later call has to wait."""
+"""The preparation of a localizer: the presses to build, and examples that compile and load what later calls need."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
 from tactile_loc.core.places.places import PRESS_STEP_M
 from tactile_loc.core.poses.priors import GaussianPrior
-from tactile_loc.core.runtime.errors import GridError, TouchError
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.touch import Touch
-
-if TYPE_CHECKING:
-    from tactile_loc.locate.localizer import Localizer
 
 TOUCHES = 4  # simulated touches of each sensor
 AWAY = make_transform(rotation_about([0.0, 0.6, 0.8], 0.2), [4e-3, 3e-3, 0.0])  # error of a wrong sensor pose
 STD_M, STD_RAD = 2e-3, 0.1  # standard deviations of a prior
 
 
-def prepare_localizers(localizers: Sequence[Localizer]) -> None:
-    """Build and load what the localizers of one object need, and locate simulated touches with all of their sensors.
-
-    The simulated touches compile the kernels, and load the compiled code. The first localizer shows the progress.
-    """
-    works = [(one, press_m) for one in localizers for press_m in list_presses(one)]
-    with localizers[0].progress.task("prepare: presses", len(works)) as advance:
-        for one, press_m in works:
-            one.source.prepare(press_m)
-            advance(1)
-    placed = [place_touches(one) for one in localizers]
-    examples = [
-        (one, *each) for one, touches in zip(localizers, placed, strict=True) for each in list_examples(touches)
-    ]
-    if len(localizers) > 1:
-        examples.append((localizers[0], [touches[0] for touches in placed], {}))
-    with localizers[0].progress.task("prepare: examples", len(examples)) as advance:
-        for one, given, asked in examples:
-            with suppress(GridError):
-                str(one.localize(given, **asked))
-            advance(1)
-
-
-def list_presses(localizer: Localizer) -> list[float]:
+def list_presses(deepest_m: float, trained: bool) -> list[float]:
     """Return the press depths, metres, at which touches are compared, the lightest last, because it is used most.
 
     Banks of a trained encoder take long, so that only the deepest is prepared.
     """
-    deepest_m = localizer.scene.geometry.max_depth_m
-    if localizer.encoder.capabilities.needs_training:
+    if trained:
         return [deepest_m]
     return [deepest_m, *(PRESS_STEP_M * np.arange(int(deepest_m / PRESS_STEP_M), 0, -1)).tolist()]
 
 
-def place_touches(localizer: Localizer) -> list[Touch]:
+def place_touches(touches: Sequence[Touch]) -> list[Touch]:
     """Return simulated touches of the object at rest in the origin of the base frame."""
-    touches = localizer.simulate(TOUCHES, localizer.config.seed, noise="mild")
     return [replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))) for touch in touches]
 
 

@@ -76,7 +76,7 @@ def test_the_preparation_shows_its_progress_and_keeps_the_lightest_presses(store
             yield advance
 
     localizer = Localizer.create("pin", store=store, sensor=MINI, progress=Counted(), prepared=True, **SMALL)
-    presses = list_presses(localizer)
+    presses = list_presses(localizer.scene.geometry.max_depth_m, trained=False)
     assert steps["prepare: presses"] == [len(presses)] * 2
     done, total = steps["prepare: examples"]
     assert done == total > 3
