@@ -20,8 +20,9 @@ from press_sets import COLUMNS, ball_set, write_image
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
-from tactile_loc import Localizer, RosPose, load_object, write_touch
+from tactile_loc import Localizer, RosPose, Verdict, load_object, write_touch
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.evaluation.slides import draw_random_slide, write_slide
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.mount_files import HandEyeRecord, write_mount
@@ -249,3 +250,16 @@ def test_python_runs(page, workplace, monkeypatch, store):
     for number, (language, text) in enumerate(blocks(page)):
         if language == "python":
             exec(compile(text, f"{page}, block {number}", "exec"), {})
+
+
+@pytest.mark.slow
+def test_the_script_of_two_fingers_finds_the_object(workplace):
+    """The page's settings are used as they are, so that the search has the whole object."""
+    (text,) = (text for language, text in blocks("control-loop.md") if language == "python")
+    variables = {}
+    exec(compile(text, "control-loop.md", "exec"), variables)
+    found, truth = variables["found"], variables["T_base_object"]
+    assert found.verdict is Verdict.CERTAIN
+    assert len(variables["seconds"]) == 300
+    assert variables["tracker"].latest() is found
+    assert measure_pose_errors(variables["localizer"].object, found.T_base_object[None], truth)[0] < 1e-3
