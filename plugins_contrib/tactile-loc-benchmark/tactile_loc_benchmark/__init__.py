@@ -23,6 +23,7 @@ SOURCES = {
         "images of a GelSight Mini, by the CycleGAN of tactile-mnist",
         CYCLEGAN,
     ),
+    "ycb-slide": ("ycb_slide:YcbSlide", "recorded images of a DIGIT that slides over ten objects", ""),
     "gelslim-shapes": ("gelslim_shapes:GelslimShapes", "recorded images of a prism with known poses", SOLVERS),
 }
 # name: class and summary
