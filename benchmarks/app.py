@@ -24,12 +24,13 @@ from numpy.typing import NDArray
 from tactile_loc_app.page.pictures import paint_wide
 from tactile_loc_app.page.scene_view import SceneView
 from tactile_loc_app.server import require_viser
-from tactile_loc_app.session import Session, place_above
+from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers
 from tactile_loc_app.virtual_finger import Pose
 
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.io.config import RunConfig
 from tactile_loc.store.store import StageStore
 
@@ -85,6 +86,14 @@ def drag(obj: ObjectModel, above: Pose, count: int, deepest_m: float) -> Iterato
         by_m[along] = 0.5 * MARGIN * obj.mesh.extents_m[along] * np.sin(turn)
         tilted = rotation_about([0.3, 1.0, 0.2], TILT_RAD * np.sin(2.3 * turn))
         yield make_transform(above[:3, :3] @ tilted, place_m + by_m), deepest_m * (0.6 + 0.3 * np.sin(1.7 * turn))
+
+
+def place_above(obj: ObjectModel, scene: Scene) -> Pose:
+    """Return the pose `T_base_sensor` (4, 4), metres, of a finger above the object's middle that looks down on it."""
+    down = rotation_about([1, 0, 0], np.pi)
+    middle = obj.mesh.corners_m.mean(axis=0)
+    top_m = float(obj.mesh.corners_m[:, 2].max())
+    return make_transform(down, np.array([middle[0], middle[1], top_m + scene.geometry.surface_m]))
 
 
 def measure(session: Session, client: object, count: int) -> Row:

@@ -31,8 +31,8 @@ from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.store.store import StageStore
 
 PICTURES = Path(__file__).parent / "images"
-DESKTOP, PHONE = (1280, 1000), (390, 844)  # pixels
-GRAB = 0.75  # where the arrow is grabbed, share of its length
+DESKTOP, PHONE = (1440, 987), (390, 844)  # pixels
+GRAB = 0.6  # where the arrow is grabbed, share of its length
 
 
 class Visitor:
@@ -198,14 +198,14 @@ def project(page: VisitorPage, visitor: Visitor, point_m: NDArray[np.float64]) -
 
 
 def make_part(path: Path) -> Path:
-    """Write an own part, an angle bracket with a pin, as STL in mm, and return its path."""
+    """Write an own part, an angle bracket with a pin, as STL in metres, and return its path."""
     import trimesh
 
     foot, wall = trimesh.creation.box((40, 24, 6)), trimesh.creation.box((6, 24, 26))
     wall.apply_translation((-17, 0, 10))
     pin = trimesh.creation.cylinder(3.5, 9, sections=48)
     pin.apply_translation((10, 3, 6))
-    trimesh.boolean.union([foot, wall, pin], engine="manifold").export(path)
+    trimesh.boolean.union([foot, wall, pin], engine="manifold").apply_scale(1e-3).export(path)
     return path
 
 
@@ -253,6 +253,7 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
         try:
             page = await_page(server, visitor)
             note("open the page in a browser")
+            own_s = time.perf_counter()
             visitor.upload("Open your own mesh", make_part(folder / "bracket.stl"))
             visitor.await_text("bracket: 40.0 x 24.0 x 26.0 mm")
             note("upload an own STL file")
@@ -281,6 +282,16 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
             visitor.click("Locate")
             wait_until(lambda: len(page.session.history) > count, "no second result")
             note("locate from three touches")
+            rows.append(("from the own mesh to this verdict, drags included", f"{time.perf_counter() - own_s:.1f} s"))
+            page = load_again(server, visitor, page)
+            rows.append(("touches after the page is loaded again", str(len(page.session.touches))))
+            other = Visitor(visitor.browser.current_url, folder)
+            try:
+                second = await_page(server, other)
+                rows.append(("touches in a second tab with the same address", str(len(second.session.touches))))
+            finally:
+                other.close()
+            note("")
             visitor.click("Download the result")
             names = zipfile.ZipFile(visitor.await_download(ARCHIVE)).namelist()
             note("export the result")
@@ -330,6 +341,18 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
         finally:
             visitor.close()
     return rows
+
+
+def load_again(server: AppServer, visitor: Visitor, page: VisitorPage) -> VisitorPage:
+    """Load the visitor's page again, and return it."""
+    visitor.browser.refresh()
+
+    def find() -> list[VisitorPage]:
+        return [one for one in server.pages.values() if one is not page and one.session is page.session]
+
+    wait_until(find, "the session is lost")
+    visitor.await_text("Located in")
+    return find()[0]
 
 
 def take_shots(server: AppServer, visitor: Visitor, shots: Path) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc_benchmark.sliding_touches import SlidingTouches
+from tactile_loc_cli.results import make_title
 
 from tactile_loc.core.geometry.lie import compute_pose_errors, move_covariance
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
@@ -23,7 +24,7 @@ from tactile_loc.core.runtime.formatting import format_millimetres, format_perce
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.planning.approaches import draw_approaches
 from tactile_loc.planning.next_touch import choose_next_touch
@@ -32,6 +33,8 @@ from tactile_loc.tracking.pose_modes import MOST_MODES
 from tactile_loc.tracking.tracked_pose import TrackedPose
 from tactile_loc.tracking.tracker import Tracker
 from tactile_loc.view.drawn_scene import DrawnScene, DrawnSensor
+from tactile_loc.view.one_versus_several import draw_one_versus_several
+from tactile_loc.view.palette import DARK, LIGHT
 from tactile_loc.view.pictures import (
     compute_extent_mm,
     draw_contact_shape,
@@ -320,6 +323,16 @@ def _touch(localizer: Localizer) -> Touch:
     return localizer.simulate(1, TOUCH_SEED, noise="strong")[0]
 
 
+def save_demo(out: Path) -> None:
+    """Draw the demo of `tactile-loc run` for light and for dark pages."""
+    localizer = Localizer.create(OBJECT)
+    observations = [(localizer, touch) for touch in localizer.simulate_together(3, 0)]
+    alone, together = localize_together(observations[:1]), localize_together(observations)
+    for name, palette in (("demo", LIGHT), ("demo-dark", DARK)):
+        figure = draw_one_versus_several(alone, together, make_title(together))
+        print(save_figure(out / f"{name}.png", palette.repaint(figure)))
+
+
 def tell_stories(out: Path) -> None:
     """Run the code of the page of worked examples in the folder of pictures; this code draws the page's pictures."""
     with chdir(out):
@@ -347,6 +360,7 @@ def main() -> None:
     }
     for name, figure in figures.items():
         print(save_figure(out / f"{name}.png", figure))
+    save_demo(out)
     tell_stories(out.absolute())
 
 

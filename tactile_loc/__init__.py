@@ -122,6 +122,7 @@ if TYPE_CHECKING:
     from tactile_loc.view.calibration import save_labels as save_labels
     from tactile_loc.view.drawn_scene import DrawnScene as DrawnScene
     from tactile_loc.view.drawn_scene import DrawnSensor as DrawnSensor
+    from tactile_loc.view.palette import Palette as Palette
     from tactile_loc.view.pictures import draw_result as draw_result
     from tactile_loc.view.pictures import render_figure as render_figure
     from tactile_loc.view.pictures import save_figure as save_figure

@@ -42,12 +42,14 @@ def open_socket(port: int, path: str = "/", **headers: str) -> int:
 
 
 @contextmanager
-def visit(port: int) -> Iterator[ClientConnection]:
+def visit(port: int, path: str = "") -> Iterator[ClientConnection]:
     """Open the page's websocket, and look at its view."""
     import viser
     from websockets.sync.client import connect
 
-    with connect(f"ws://127.0.0.1:{port}", subprotocols=[f"viser-v{viser.__version__}"], max_size=None) as visitor:
+    with connect(
+        f"ws://127.0.0.1:{port}{path}", subprotocols=[f"viser-v{viser.__version__}"], max_size=None
+    ) as visitor:
         send(visitor, CAMERA)
         yield visitor
 

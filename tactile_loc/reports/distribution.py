@@ -74,7 +74,7 @@ def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) ->
     """Spread masses (V,) to nearby vertices; the sum of all masses stays the same."""
     from scipy.spatial import cKDTree
 
-    tree, normals = cKDTree(mesh.vertices_m), compute_vertex_normals(mesh)
+    tree, normals = cKDTree(mesh.vertices_m), mesh.vertex_normals
     found = np.zeros(len(mass))
     for source in np.flatnonzero(mass):
         near = np.array(tree.query_ball_point(mesh.vertices_m[source], REACH * spread_m), np.int64)
@@ -120,15 +120,6 @@ def compute_vertex_areas(mesh: TriangleMesh) -> Array:
     """Return, for each vertex (V,), a third of the area of the faces around it, in square metres."""
     areas = np.repeat(mesh.face_areas / 3.0, 3)
     return np.bincount(mesh.faces.ravel(), areas, len(mesh.vertices_m)).astype(float)
-
-
-def compute_vertex_normals(mesh: TriangleMesh) -> Array:
-    """Return the unit normal (V, 3) at each vertex: the area-weighted mean over its faces, or zero without faces."""
-    a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
-    normals = np.zeros_like(mesh.vertices_m)
-    for corner in range(3):
-        np.add.at(normals, mesh.faces[:, corner], np.cross(b - a, c - a))
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
 
 
 def compute_yaw_rad(R: Array) -> Array:

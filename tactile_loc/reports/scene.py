@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Poses, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.reports.distribution import SurfaceDistribution, compute_vertex_normals, find_touched_vertices
+from tactile_loc.reports.distribution import SurfaceDistribution, find_touched_vertices
 from tactile_loc.view.drawn_scene import DrawnScene, DrawnSensor
 from tactile_loc.view.pictures import group_nearby
 from tactile_loc.view.pose_panel import GEL_MM, RIM_MM, choose_view, list_round_values
@@ -85,7 +85,7 @@ def _place_marks(mesh: TriangleMesh, poses: Poses, truth: Array | None, geometry
     names = [*map(str, range(1, 1 + min(NAMED, len(poses)))), *([] if truth is None else ["true"])]
     named = np.stack([*poses[:NAMED], *([] if truth is None else [truth])])
     vertices = find_touched_vertices(mesh, named, geometry)
-    places = 1e3 * mesh.vertices_m[vertices] + LIFT_MM * compute_vertex_normals(mesh)[vertices]
+    places = 1e3 * mesh.vertices_m[vertices] + LIFT_MM * mesh.vertex_normals[vertices]
     groups = group_nearby(places, TOGETHER_MM)
     at = np.stack([places[group].mean(axis=0) for group in groups])
     return {**_split_columns(at), "text": [", ".join(names[i] for i in group) for group in groups]}

@@ -21,11 +21,12 @@ from tactile_loc.core.sensing.touch import ContactShape, Touch, cut_to_touching
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.result_arrays import find_most_probable
+from tactile_loc.view.palette import LIGHT, Palette
 
 Array = NDArray[np.float64]
 
-STEEL, GEL, HOUSING = (0.50, 0.64, 0.80), (0.87, 0.88, 0.86), (0.34, 0.36, 0.40)  # red, green and blue, 0 to 1
-EDGE, TRUTH = "#16202c", "#e8590c"
+STEEL, GEL, HOUSING = map(Palette.rgb, (LIGHT.best, LIGHT.gel, LIGHT.housing))
+EDGE, TRUTH = LIGHT.ink, LIGHT.truth
 GEL_M, RIM_M = 1.5e-3, 1.6e-3  # drawn thickness of the gel, and drawn width of the housing around the gel
 BODY, NARROW = 0.5, 0.6  # drawn length of a sensor's body and width of its end, in widths of the gel
 DEVIATIONS = 2.0  # standard deviations of an ellipsoid's half axes

@@ -13,6 +13,7 @@ from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.formatting import format_millimetres
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.view.drawn_scene import EDGE, GEL, HOUSING, STEEL, TRUTH, DrawnScene, DrawnSensor, move_triangles
+from tactile_loc.view.palette import LIGHT
 from tactile_loc.view.pictures import draw_contact_shape, draw_outline, make_figure
 from tactile_loc.view.pose_panel import SUPERSAMPLE, Canvas, choose_view, fit_bounds
 from tactile_loc.view.raytracing import average, unmultiply
@@ -29,7 +30,7 @@ MOST_GHOSTS, MOST_SHAPES = 6, 4  # largest numbers of drawn poses of the first t
 PIXELS = 480
 GHOST, SEEN_THROUGH, TRUTH_OPACITY = 0.45, 0.5, 0.95  # opacity of the first touch's poses, other sensors and lines
 EDGE_STEP = 0.04  # depth step that counts as an edge, in sizes of the object
-WIDTH_IN, HEIGHT_IN = 13.6, 7.0
+WIDTH_IN, HEIGHT_IN = 12.0, 6.8
 LABEL = 0.55  # place of a sensor's label: 0 for the gel's middle, 1 for its corner
 MARGIN = 0.05  # free space around the drawn solids, in sizes of the picture
 
@@ -40,7 +41,7 @@ def draw_one_versus_several(alone: Localization, together: Localization, title: 
     `alone` is the result of the first touch of `together`. Lines show the true pose if it is known.
     """
     figure = make_figure(WIDTH_IN, HEIGHT_IN)
-    figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.975)
+    figure.suptitle(title, size=15, weight="bold", x=0.5, y=0.975)
     panels: Any = figure.subfigures(1, 2)
     left, right = panels
     ghosts = [h.T_sensor_object for h in alone.equal_explanations[:MOST_GHOSTS]]
@@ -59,8 +60,8 @@ def _draw_side(panel: SubFigure, found: Localization, of: str) -> None:
     """Write what the touches show, and draw their contact shapes."""
     errors_m = found.measure_errors_m(found.object)
     off = "" if errors_m is None else f"; first pose: {format_millimetres(errors_m[0])} off"
-    panel.text(0.5, 0.882, f"{of}: {found.verdict}", size=13, ha="center", weight="bold")
-    panel.text(0.5, 0.845, f"{found.count_explanations()}{off}", size=10.5, ha="center", color="#37474f")
+    panel.text(0.5, 0.882, f"{of}: {found.verdict}", size=14, ha="center", weight="bold")
+    panel.text(0.5, 0.845, f"{found.count_explanations()}{off}", size=11.5, ha="center", color=LIGHT.soft)
     shown = found.touches[:MOST_SHAPES]
     width, height = SHAPE, SHAPE * WIDTH_IN / 2 / HEIGHT_IN
     first = 0.5 - 0.5 * width * len(shown)
@@ -69,7 +70,7 @@ def _draw_side(panel: SubFigure, found: Localization, of: str) -> None:
         draw_contact_shape(axes, touch.contact_shape, touch.geometry)
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
-        axes.set_xlabel(name_touch(number), size=9, labelpad=3)
+        axes.set_xlabel(name_touch(number), size=10.5, labelpad=3)
 
 
 def name_touch(number: int) -> str:
@@ -92,7 +93,9 @@ def _draw_legend(panel: SubFigure, colours: dict[str, Any], found: Localization)
     handles: list[Any] = [Patch(fc=colour, ec=EDGE, lw=0.8, label=label) for label, colour in colours.items()]
     if found.touch.T_sensor_object is not None:
         handles.append(Line2D([], [], color=TRUTH, lw=1.5, label="true pose"))
-    panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.005), ncols=2, frameon=False, fontsize=10)
+    panel.legend(
+        handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.005), ncols=2, frameon=False, fontsize=11.5
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +140,7 @@ class _SharedView:
             others = np.delete(middles, number + 1, axis=0)
             free_mm = np.linalg.norm(corners[:, None] - others, axis=-1).min(axis=1)
             at = LABEL * corners[free_mm.argmax()] + (1 - LABEL) * middles[number + 1]
-            axes.text(at[0], at[1], name_touch(number), size=10, ha="center", va="center", path_effects=halo)
+            axes.text(at[0], at[1], name_touch(number), size=11.5, ha="center", va="center", path_effects=halo)
 
     def _draw(self, T_sensor_object: Sequence[Array], sensors: Sequence[DrawnSensor]) -> Image:
         surfaces = [move_triangles(self.scene.mesh.triangles_m, T) for T in T_sensor_object]

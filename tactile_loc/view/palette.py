@@ -52,6 +52,7 @@ class Palette:
         from matplotlib.colors import to_hex
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
+        from matplotlib.patheffects import withStroke
         from matplotlib.text import Text
 
         light = Palette()
@@ -60,6 +61,8 @@ class Palette:
         parts: list[Any] = figure.findobj(lambda one: isinstance(one, Text | Line2D))
         for part in parts:
             part.set_color(new.get(to_hex(part.get_color()), part.get_color()))
+            if part.get_path_effects():
+                part.set_path_effects([withStroke(linewidth=2.5, foreground=self.paper)])
         patches: list[Any] = figure.findobj(Patch)
         for patch in patches:
             for get, put in ((patch.get_facecolor, patch.set_facecolor), (patch.get_edgecolor, patch.set_edgecolor)):

@@ -22,6 +22,7 @@ from tactile_loc.io.shape_pictures import NO_CONTACT, OUTLINE
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.store.files import write_atomically
 from tactile_loc.view.drawn_scene import EDGE, STEEL, TRUTH, DrawnScene, find_extent_m
+from tactile_loc.view.palette import LIGHT
 from tactile_loc.view.pose_panel import draw_pose
 
 if TYPE_CHECKING:
@@ -51,10 +52,10 @@ def draw_result(localization: Localization, scene: Scene, title: str, errors_m: 
     `errors_m` (K,) are the errors of the K hypotheses, in metres.
     """
     several, columns = len(localization.touches) > 1, 1 if len(localization.hypotheses) < 3 else 2
-    photo = [] if several or localization.touch.image is None else [4.7]
-    widths = [*photo, 6.3 if several else 4.7, 2.5 * columns, 6.3]
-    figure = make_figure(sum(widths), 5.9)
-    figure.suptitle(title, size=14, weight="bold", x=0.5, y=0.978)
+    photo = [] if several or localization.touch.image is None else [3.9]
+    widths = [*photo, 4.9 if several else 3.9, 2.0 * columns, 4.4]
+    figure = make_figure(sum(widths), 5.4)
+    figure.suptitle(title, size=15, weight="bold", x=0.5, y=0.978)
     panels: Any = figure.subfigures(1, len(widths), width_ratios=widths)
     left, middle, right = panels[-3:]
     if photo:
@@ -104,9 +105,9 @@ def draw_contact_shape(
         unseen = np.ma.masked_where(geometry.observed_mask, np.ones(geometry.shape))
         axes.imshow(unseen, cmap=colormaps["Greys"], vmin=0, vmax=4, extent=extent, origin="upper", alpha=0.8)
     x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, lw=1.0, ec="#37474f", clip_on=False))
+    axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, lw=1.0, ec=LIGHT.soft, clip_on=False))
     axes.set(xlim=extent[:2], ylim=extent[2:])
-    axes.tick_params(labelsize=8, length=2.5)
+    axes.tick_params(labelsize=9, length=2.5)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))  # few and round, so that labels stay apart
     return image
@@ -145,8 +146,8 @@ def _draw_observed(panel: SubFigure, localization: Localization) -> None:
     axes = panel.add_axes((0.125, 0.19, 0.85, 0.68))
     image = draw_contact_shape(axes, touch.contact_shape, touch.geometry)
     draw_outline(axes, touch)
-    axes.set_xlabel("x (mm)", size=9, labelpad=2)
-    axes.set_ylabel("y (mm)", size=9, labelpad=-2)
+    axes.set_xlabel("x (mm)", size=10, labelpad=2)
+    axes.set_ylabel("y (mm)", size=10, labelpad=-2)
     _write_heading(panel, "observed contact shape")
     _add_depth_bar(panel, image, 0.85)
 
@@ -154,8 +155,8 @@ def _draw_observed(panel: SubFigure, localization: Localization) -> None:
 def _add_depth_bar(panel: SubFigure, image: AxesImage, width: float) -> None:
     bar = panel.add_axes((0.125, 0.095, width, 0.022))
     panel.colorbar(image, cax=bar, orientation="horizontal")
-    bar.set_xlabel("depth from full penetration (mm); grey: no contact", size=9, labelpad=2)
-    bar.tick_params(labelsize=8)
+    bar.set_xlabel("depth from full penetration (mm); grey: no contact", size=10, labelpad=2)
+    bar.tick_params(labelsize=9)
 
 
 def _draw_all_observed(panel: SubFigure, localization: Localization) -> None:
@@ -171,11 +172,11 @@ def _draw_all_observed(panel: SubFigure, localization: Localization) -> None:
         axes = panel.add_axes((0.06 + column * width, 0.19 + (rows - 1 - row) * height, width - 0.06, height - 0.11))
         image = draw_contact_shape(axes, touch.contact_shape, touch.geometry, deepest_m)
         draw_outline(axes, touch)
-        axes.set_title(_write_touch(touch, ious[k], k in localization.agreement.outliers), size=8.5, pad=4)
-    _write_heading(panel, f"the {len(localization.touches)} observed contact shapes: imprint IoU (axes in mm)")
+        axes.set_title(_write_touch(touch, ious[k], k in localization.agreement.outliers), size=9.5, pad=4)
+    _write_heading(panel, f"{len(localization.touches)} observed contact shapes (mm)")
     _add_depth_bar(panel, image, 0.8)
     if text := _name_others(localization):
-        panel.text(0.5, 0.012, text, size=8.5, ha="center", va="bottom", color="#37474f")
+        panel.text(0.5, 0.012, text, size=9.5, ha="center", va="bottom", color=LIGHT.soft)
 
 
 def _write_touch(touch: Touch, iou: float, contradicts: bool) -> str:
@@ -203,11 +204,11 @@ def _draw_photo(panel: SubFigure, localization: Localization, scene: Scene) -> N
     axes.imshow(np.asarray(touch.image), extent=compute_extent_mm(touch.geometry), origin="upper")
     made = scene.show_like(localization.best.T_sensor_object, touch)
     draw_outline(axes, dataclasses.replace(touch, contact_shape=made), EXPECTED)
-    axes.tick_params(labelsize=8, length=2.5)
-    axes.set_xlabel("x (mm)", size=9, labelpad=2)
-    axes.set_ylabel("y (mm)", size=9, labelpad=-2)
+    axes.tick_params(labelsize=9, length=2.5)
+    axes.set_xlabel("x (mm)", size=10, labelpad=2)
+    axes.set_ylabel("y (mm)", size=10, labelpad=-2)
     _write_heading(panel, "image")
-    panel.text(0.55, 0.085, "white: outline predicted by the best pose", size=9, ha="center", color="#37474f")
+    panel.text(0.55, 0.085, "white: outline predicted by the best pose", size=10, ha="center", color=LIGHT.soft)
 
 
 def _draw_candidates(
@@ -222,31 +223,31 @@ def _draw_candidates(
         draw_contact_shape(axes, shape, touch.geometry)
         draw_outline(axes, touch)
         axes.set(xticks=[], yticks=[])
-        error = "" if errors_m is None else f",  {format_millimetres(errors_m[i])} off"
+        error = "" if errors_m is None else f"\n{format_millimetres(errors_m[i])} off"
         fit = f"{format_percent(hypothesis.probability)},  IoU {100 * hypothesis.imprint_iou:.0f} %"
-        axes.set_title(f"{i + 1}:  {fit}{error}", size=8.5, pad=4)
+        axes.set_title(f"{i + 1}:  {fit}{error}", size=9.5, pad=4)
     first = f" of {_shorten(touch.name)}" if localization.others else ""
-    _write_heading(
-        panel, f"best explanations{first}: probability, imprint IoU" if columns == 2 else f"best poses{first}"
-    )
-    panel.text(0.5, 0.012, "red: observed outline", size=9, ha="center", va="bottom", color=OUTLINE)
+    _write_heading(panel, f"best explanations{first}" if columns == 2 else f"best poses{first}")
+    panel.text(0.5, 0.012, "red: observed outline", size=10, ha="center", va="bottom", color=OUTLINE)
 
 
 def _write_heading(panel: SubFigure, text: str) -> None:
-    panel.text(0.5, 0.893, text, size=11, ha="center", va="bottom")
+    panel.text(0.5, 0.893, text, size=12, ha="center", va="bottom")
 
 
 def _draw_scene(panel: SubFigure, localization: Localization) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    axes = panel.add_axes((0.02, 0.075, 0.97, 0.815))
+    axes = panel.add_axes((0.06, 0.075, 0.93, 0.815))
     draw_pose(axes, DrawnScene.of(localization))
     handles: list[Any] = [Patch(fc=STEEL, ec=EDGE, lw=0.8, label="best pose")]
     if localization.touch.T_sensor_object is not None:
         handles.append(Line2D([], [], color=TRUTH, lw=1.5, label="true pose"))
     _write_heading(panel, "the object on the sensor")
-    panel.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.005), ncols=2, frameon=False, fontsize=9)
+    panel.legend(
+        handles=handles, loc="lower center", bbox_to_anchor=(0.5, -0.005), ncols=2, frameon=False, fontsize=10.5
+    )
 
 
 def group_nearby(places: NDArray[np.float64], apart: float, order: float = 2) -> list[list[int]]:

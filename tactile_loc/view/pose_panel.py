@@ -87,7 +87,7 @@ class Canvas:
         return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
 
     def draw_solids(
-        self, surfaces_mm: Sequence[Array], colours: Sequence[tuple[float, float, float]]
+        self, surfaces_mm: Sequence[Array], colours: Sequence[Array]
     ) -> tuple[Buffers, NDArray[np.float32]]:
         """Return the hits and an RGBA image (H, W, 4) of shaded surfaces (F, 3, 3), mm, with dark edges."""
         tracer = Tracer(list(surfaces_mm), self.view)

@@ -10,7 +10,6 @@ from tactile_loc.core.geometry.rigid import align_to_z, draw_rotations, make_tra
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.reports.distribution import (
     compute_vertex_areas,
-    compute_vertex_normals,
     compute_yaw_rad,
     count_yaws,
     find_touched_vertices,
@@ -54,7 +53,7 @@ def test_vertices_of_a_ball_have_its_areas_and_normals():
     ball = surface(trimesh.creation.icosphere(3, 0.01))
     assert compute_vertex_areas(ball).sum() == pytest.approx(ball.face_areas.sum())
     outwards = ball.vertices_m / 0.01
-    assert (compute_vertex_normals(ball) * outwards).sum(axis=1).min() > 0.999
+    assert (ball.vertex_normals * outwards).sum(axis=1).min() > 0.999
 
 
 def test_the_probability_sums_to_one_and_lies_under_the_sensor(rod, flat_camera, centre):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from tactile_loc.plugin import ConfigError, MissingLibraryError
 
 from tactile_loc_app.access import Access
+from tactile_loc_app.index_page import brand_page, read_visit
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -74,6 +75,13 @@ def start_viser(host: str, port: int, access: Access) -> ViserServer:
     loop = server.get_event_loop()
     loop.call_soon_threadsafe(loop.set_exception_handler, _log_failure)
     return server
+
+
+def find_visit(server: ViserServer, client_id: int) -> str:
+    """Return the number of a visitor's visit, or "" if its browser gave none."""
+    connections: dict[int, Any] = getattr(server._websock_server, "_live_connections", {})
+    request = getattr(connections.get(client_id), "request", None)
+    return "" if request is None else read_visit(request.path)
 
 
 def _log_failure(loop: Any, context: dict[str, Any]) -> None:
@@ -156,6 +164,10 @@ def _guard(answer: Answer, access: Access) -> Answer:
             return connection.respond(503, "There are too many visitors; close some tabs of this page.\n")
         response = answer(connection, request)
         if response is not None:
+            if response.headers.get("Content-Type", "").startswith("text/html"):
+                response.body = brand_page(bytes(response.body), response.headers.get("Content-Encoding") == "gzip")
+                del response.headers["Content-Length"]
+                response.headers["Content-Length"] = str(len(response.body))
             policy = POLICY.format(host=request.headers["Host"])
             for name, value in {**access.headers, "Content-Security-Policy": policy}.items():
                 response.headers[name] = value

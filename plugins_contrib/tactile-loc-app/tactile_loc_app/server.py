@@ -15,7 +15,7 @@ from tactile_loc import RunConfig, StageStore
 from tactile_loc.plugin import ConfigError
 
 from tactile_loc_app.access import Access
-from tactile_loc_app.guarded_viser import require_viser, start_viser
+from tactile_loc_app.guarded_viser import find_visit, require_viser, start_viser
 from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers
 
@@ -25,14 +25,16 @@ if TYPE_CHECKING:
     from tactile_loc_app.page.panels import VisitorPage
 
 HOST, PORT = "127.0.0.1", 8080
+KEPT_S, MOST_KEPT = 900.0, 8  # time for which the session of a visitor who left is kept, and number of such sessions
+RELOAD_S = 1.0  # time within which a browser that loads the page again ends its earlier connection
 
 
 class AppServer:
     """Serves the page until it is closed. `pages` are those of the visitors, by viser's number of the client.
 
-    `config` names the first object and sensor. Each visitor's files are kept in a temporary folder, which is removed
-    when the visitor leaves. Raises TactileLocError if the object or the sensor cannot be used, ConfigError for a wrong
-    host or port, and MissingLibraryError without viser.
+    `config` names the first object and sensor. Each visitor's files are kept in a temporary folder. When a visitor
+    leaves, the session is kept for KEPT_S seconds, so that the page can be loaded again. Raises TactileLocError if the
+    object or the sensor cannot be used, ConfigError for a wrong host or port, and MissingLibraryError without viser.
     """
 
     def __init__(
@@ -46,6 +48,8 @@ class AppServer:
         self.localizers = SharedLocalizers(Path(self._folder.name), store)
         self.config = config
         self.pages: dict[int, VisitorPage] = {}
+        self._visits: dict[int, str] = {}
+        self._kept: dict[str, tuple[Session, float]] = {}
         self._lock = Lock()
         self.new_session().close()  # raises here, not when the first visitor comes
         self._server = start_viser(host, port, self.access)
@@ -71,20 +75,52 @@ class AppServer:
 
         if not self._is_here(client):
             return
-        page = VisitorPage(client, self.new_session())
+        visit = find_visit(self._server, client.client_id)
+        page = VisitorPage(client, self._find_session(visit))
         with self._lock:
-            self.pages[client.client_id] = page
+            self.pages[client.client_id], self._visits[client.client_id] = page, visit
         if not self._is_here(client):  # left meanwhile, and maybe before the page was known
             self._leave(client)
+
+    def _find_session(self, visit: str) -> Session:
+        """Return the session that a visit left, or a new one. A visit that goes on in another tab is not shared."""
+        end_s = time.monotonic() + RELOAD_S
+        while visit:
+            with self._lock:
+                if visit in self._kept:
+                    return self._kept.pop(visit)[0]
+                is_open = visit in self._visits.values()
+            if not is_open or time.monotonic() > end_s:
+                break
+            time.sleep(0.05)
+        return self.new_session()
 
     def _is_here(self, client: ClientHandle) -> bool:
         return client.client_id in self._server.get_clients()
 
     def _leave(self, client: ClientHandle) -> None:
         with self._lock:
-            page = self.pages.pop(client.client_id, None)
-        if page is not None:
-            page.close()
+            page, visit = self.pages.pop(client.client_id, None), self._visits.pop(client.client_id, "")
+            if page is None:
+                return
+            before = self._kept.pop(visit, None)
+            if visit:
+                self._kept[visit] = page.session, time.monotonic()
+        page.close()
+        for session in (None if before is None else before[0], None if visit else page.session):
+            if session is not None:
+                session.close()
+        self.forget_left(KEPT_S)
+
+    def forget_left(self, after_s: float) -> None:
+        """Close the sessions of visitors who left `after_s` seconds ago, and the oldest if there are too many."""
+        end_s = time.monotonic() - after_s
+        with self._lock:
+            old = list(self._kept)[: max(len(self._kept) - MOST_KEPT, 0)]
+            old += [visit for visit, (_, left_s) in self._kept.items() if left_s <= end_s and visit not in old]
+            gone = [self._kept.pop(visit)[0] for visit in old]
+        for session in gone:
+            session.close()
 
     def serve(self) -> None:
         """Serve the page until Ctrl-C."""
@@ -97,10 +133,13 @@ class AppServer:
         with redirect_stdout(io.StringIO()):  # viser prints a line
             self._server.stop()
         with self._lock:
-            left = list(self.pages.values())
+            left, kept = list(self.pages.values()), [session for session, _ in self._kept.values()]
             self.pages.clear()
+            self._kept.clear()
         for page in left:
             page.close()
+        for session in (*kept, *(page.session for page in left)):
+            session.close()
         self._folder.cleanup()
 
     def __enter__(self) -> Self:

@@ -38,12 +38,14 @@ from tactile_loc_app.calibrator import Calibrator
 from tactile_loc_app.chosen_camera import ChosenCamera
 from tactile_loc_app.errors import AppError
 from tactile_loc_app.export import write_export
+from tactile_loc_app.page.task_progress import ShowProgress
 from tactile_loc_app.shared_localizers import SharedLocalizers
 from tactile_loc_app.uploads import is_archive, unpack_upload, write_upload
 from tactile_loc_app.virtual_finger import Pose, Press, make_touch, press_finger
 
 APPROACHES = 60  # approaches from which the next touch is chosen
 LIST = "touches.toml"  # list of touches in an archive
+UPPER, TILT_RAD = 0.1, np.radians(35)  # upper part of an object, share of its height, and tilt of the first finger
 PRESS = 0.5  # press of the first finger, share of the sensor's maximal depth
 
 
@@ -79,7 +81,7 @@ class Session:
     def _begin(self, localizer: Localizer) -> None:
         self.localizer = localizer
         self.prior: GaussianPrior | None = None
-        self.T_base_sensor = place_above(localizer.object, localizer.scene)
+        self.T_base_sensor = place_at_edge(localizer.object, localizer.scene)
         self.press_depth_m = PRESS * localizer.scene.geometry.max_depth_m
         self.clear_touches()
 
@@ -218,8 +220,10 @@ class Session:
         if T_base_object is not None:
             self.prior = GaussianPrior(T_base_object, translation_std_m, rotation_std_rad, self.object.symmetry)
 
-    def locate(self) -> Localization:
+    def locate(self, show: ShowProgress | None = None) -> Localization:
         """Locate the object from all touches and the prior. The model is built at first, which takes longer.
+
+        `show` gets the task and its share while the model is built.
 
         Touches that are added meanwhile do not count. Raises TactileLocError if there is no touch, or no pose fits.
         """
@@ -227,7 +231,7 @@ class Session:
         if not touches:
             raise TouchError("there is no touch yet; add a touch first")
         prior = None if self.prior is None else self.prior.view_from(_require_pose(touches[0]))
-        with self.localizers.use(localizer):
+        with self.localizers.use(localizer, show):
             found = localize_together([(localizer, touch) for touch in touches], prior)
         if touches == self.touches[: len(touches)] and localizer is self.localizer:
             self._keep(found, len(touches))
@@ -271,12 +275,22 @@ class Session:
         return choose_next_touch(modes, draw_approaches_to_modes(modes, APPROACHES, self.rng)).best
 
 
-def place_above(obj: ObjectModel, scene: Scene) -> Pose:
-    """Return the pose `T_base_sensor` (4, 4), metres, of a finger above the object's middle that looks down on it."""
-    down = rotation_about([1, 0, 0], np.pi)
-    middle = obj.mesh.corners_m.mean(axis=0)
-    top_m = float(obj.mesh.corners_m[:, 2].max())
-    return make_transform(down, np.array([middle[0], middle[1], top_m + scene.geometry.surface_m]))
+def place_at_edge(obj: ObjectModel, scene: Scene) -> Pose:
+    """Return the pose `T_base_sensor` (4, 4), metres, of a finger above an edge of the object's upper side.
+
+    An edge tells more than a face. Of the upper vertices, the finger is above the one farthest from the middle, and
+    tilted away from it.
+    """
+    corners = obj.mesh.corners_m
+    low_m, high_m = corners[:, 2].min(), corners[:, 2].max()
+    upper = corners[corners[:, 2] > high_m - UPPER * (high_m - low_m)]
+    middle = corners.mean(axis=0)
+    away = (upper - middle)[:, :2]
+    edge = upper[np.linalg.norm(away, axis=1).argmax()]
+    outwards = edge[:2] - middle[:2]
+    x, y = outwards / max(np.linalg.norm(outwards), 1e-9)
+    R = rotation_about([-y, x, 0], TILT_RAD) @ rotation_about([1, 0, 0], np.pi)
+    return make_transform(R, edge - scene.geometry.surface_m * R[:, 2])
 
 
 def list_poses(found: Localization) -> Sequence[Pose]:

@@ -12,7 +12,8 @@ from threading import Lock
 from typing import Any
 
 from tactile_loc import Localizer, RunConfig, StageStore
-from tactile_loc.plugin import Progress
+
+from tactile_loc_app.page.task_progress import ShowProgress, TaskProgress
 
 
 class SharedLocalizers:
@@ -42,16 +43,25 @@ class SharedLocalizers:
         key = json.dumps([obj.describe(), chosen.path, parts], sort_keys=True)
         with self._lock:
             if key not in self._known:
-                self._known[key] = Localizer(made.config, obj, self.store, Progress())
+                self._known[key] = Localizer(made.config, obj, self.store, TaskProgress())
             return self._known[key]
 
     @contextmanager
-    def use(self, localizer: Localizer) -> Iterator[None]:
-        """Wait until no other session works with the localizer, and reserve it for the block."""
+    def use(self, localizer: Localizer, show: ShowProgress | None = None) -> Iterator[None]:
+        """Wait until no other session works with the localizer, and reserve it for the block.
+
+        `show` gets the progress of the block's work.
+        """
         with self._lock:
             own = self._in_use[id(localizer)]
+        progress = localizer.progress
+        assert isinstance(progress, TaskProgress)
         with own:
-            yield
+            progress.show = show
+            try:
+                yield
+            finally:
+                progress.show = None
 
     def forget(self, folder: Path) -> None:
         """Forget the localizers whose object or sensor lies in a folder, which is removed afterwards."""

@@ -11,7 +11,7 @@ from tactile_loc.io.config import RunConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.store.store import StageStore
 
-from tactile_loc_app.session import Session, place_above
+from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers
 
 with pytest.MonkeyPatch.context() as patch:
@@ -26,7 +26,7 @@ def session(tmp_path) -> Session:
 
 
 def test_the_finger_is_dragged_along_the_longest_side(session):
-    above, corners_m = place_above(session.object, session.scene), session.object.mesh.corners_m
+    above, corners_m = app.place_above(session.object, session.scene), session.object.mesh.corners_m
     poses, presses_m = zip(*app.drag(session.object, above, 200, 1e-3), strict=True)
     places_m = np.array(poses)[:, :2, 3]
     along = int(np.argmax(session.object.mesh.extents_m[:2]))

@@ -23,7 +23,7 @@ from tactile_loc.plugin.helpers import draw_rotations, make_transform
 from test_uploads import pack
 
 from tactile_loc_app.page.follower import Follower
-from tactile_loc_app.page.pictures import colour_probability, paint_beside, paint_photo, paint_wide
+from tactile_loc_app.page.pictures import paint_beside, paint_photo, paint_wide
 from tactile_loc_app.page.scene_view import choose_magnification, from_view, measure_height, to_view
 
 if TYPE_CHECKING:
@@ -57,10 +57,9 @@ def test_the_picture_of_a_shape_shows_contact_beside_a_scaled_photo():
     depth = np.full(geometry.shape, 1e-3, np.float32)
     depth[20:30, 30:50] = 0
     picture = paint_wide(ContactShape(depth, 1e-3), geometry)
-    assert picture.shape == (4 * geometry.shape[0], 4 * geometry.shape[1], 3)
-    assert (picture[4 * 25, 4 * 40] != picture[0, 0]).any()
+    assert picture.shape == (3 * geometry.shape[0], 3 * geometry.shape[1], 3)
+    assert (picture[3 * 25, 3 * 40] != picture[0, 0]).any()
     assert paint_beside(picture, picture).shape[1] > 2 * picture.shape[1]
-    assert colour_probability(1.0, 1.0) != colour_probability(0.0, 1.0)
     photo = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
     scaled = paint_photo(photo, (4, 6))
     np.testing.assert_array_equal(scaled[::2, ::2], photo)
@@ -200,6 +199,13 @@ def test_visitors_press_locate_and_export(tmp_path, store):
             visitor.click("Add this touch")
             visitor.await_text("Touches: touch-1, touch-2")
             assert "mm from the true pose" in visitor.read()
+            visitor.browser.refresh()
+            program.wait_until(lambda: mine.session in [page.session for page in server.pages.values()] and
+                               mine not in server.pages.values(), "the session is lost")  # fmt: skip
+            (mine,) = [page for page in server.pages.values() if page.session is mine.session]
+            visitor.await_text("Touches: touch-1, touch-2")
+            assert visitor.browser.title == "tactile-loc"
+            program.wait_until(lambda: "websocket" not in visitor.browser.current_url, "the address stays long")
             visitor.click("Locate")
             visitor.await_text(" s from 2 touches")
             visitor.click("Download the result")
@@ -237,7 +243,9 @@ def test_visitors_press_locate_and_export(tmp_path, store):
         finally:
             visitor.close()
             other.close()
-        program.wait_until(lambda: not any(folder.exists() for folder in own), "files of visitors are left")
+        program.wait_until(lambda: not server.pages, "a visitor is left")
+        assert all(folder.is_dir() for folder in own), "the page can be loaded again"
+    assert not any(folder.exists() for folder in own)
 
 
 def calibrate_in_the_page(visitor: program.Visitor, page: VisitorPage, folder: Path) -> None:

@@ -149,6 +149,36 @@ def test_uploads_are_dropped_by_their_stated_size(server, port, monkeypatch):
         assert page.upload.value.content == b""
 
 
+def test_a_visit_that_is_loaded_again_keeps_its_session_and_two_tabs_stay_apart(server, port):
+    name = "0123456789abcdef" * 2
+    with visit(port, f"/?visit={name}"):
+        (first,) = wait_until(lambda: list(server.pages.values()))
+        with visit(port, f"/?visit={name}"):
+            wait_until(lambda: len(server.pages) == 2)
+            other = next(page for page in server.pages.values() if page is not first)
+            assert other.session is not first.session
+        wait_until(lambda: len(server.pages) == 1)
+    wait_until(lambda: not server.pages)
+    assert first.session.folder.is_dir()
+    assert not other.session.folder.exists(), "one session is kept for a visit"
+    with visit(port, f"/?visit={name}"):
+        (again,) = wait_until(lambda: list(server.pages.values()))
+        assert again.session is first.session
+    with visit(port, "/?visit=another"):  # no number of a visit
+        (fresh,) = wait_until(lambda: [page for page in server.pages.values() if page is not again])
+        assert fresh.session is not first.session
+    wait_until(lambda: not server.pages and not fresh.session.folder.exists())
+    server.forget_left(0.0)
+    assert not first.session.folder.exists()
+
+
+def test_the_page_has_its_own_title_and_icon(port):
+    text = ask(port)[1]
+    assert "<title>tactile-loc</title>" in text
+    assert "Viser</title>" not in text
+    assert "%232d5f9b" in text
+
+
 def test_visitors_who_leave_at_once_leave_nothing(server, port):
     for _ in range(16):
         with visit(port):

@@ -9,7 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from tactile_loc import Localization, NoContactError, PoseMetric, RunConfig, StageStore, TactileLocError, write_touch
+from tactile_loc import (
+    DEMO_OBJECTS,
+    Localization,
+    NoContactError,
+    PoseMetric,
+    RunConfig,
+    StageStore,
+    TactileLocError,
+    write_touch,
+)
 from tactile_loc.core.runtime.errors import ObjectError
 from tactile_loc.io.images import encode_png
 from tactile_loc.plugin import ConfigError, TouchError
@@ -18,7 +27,7 @@ from test_uploads import pack
 
 from tactile_loc_app.errors import AppError
 from tactile_loc_app.export import _copy, _copy_object, _name_copies
-from tactile_loc_app.session import Session, list_poses, place_above
+from tactile_loc_app.session import Session, list_poses, place_at_edge
 from tactile_loc_app.shared_localizers import SharedLocalizers
 
 CONFIG = RunConfig.from_dict({"object": {"path": "pin"}, "sensor": "gelsight-mini"})
@@ -136,6 +145,16 @@ def test_a_new_sensor_removes_the_touches(session):
     assert session.press_depth_m <= session.scene.geometry.max_depth_m
 
 
+@pytest.mark.parametrize("name", DEMO_OBJECTS)
+def test_the_first_finger_touches_more_than_a_flat_face(localizers, name):
+    session = Session(localizers, RunConfig.from_dict({"object": {"path": name}, "sensor": "gelsight-mini"}))
+    try:
+        session.add_touch()  # raises for a flat face, and where nothing touches
+        assert 1e-3 * session.touches[0].press_depth_m < np.ptp(session.touches[0].contact_shape.depth_m)
+    finally:
+        session.close()
+
+
 def test_an_uploaded_mesh_is_read_in_its_unit_and_again_in_another(session):
     assert not session.choose_units("m"), "a demo object has its own unit"
     with pytest.raises(ObjectError):
@@ -143,7 +162,7 @@ def test_an_uploaded_mesh_is_read_in_its_unit_and_again_in_another(session):
     assert session.object.name == "pin"
     session.upload_object("block.stl", make_block(), "mm")
     np.testing.assert_allclose(session.object.mesh.extents_m, [0.03, 0.02, 0.01], atol=1e-9)
-    assert session.press(place_above(session.object, session.scene), DEPTH_M).touches
+    assert session.press(place_at_edge(session.object, session.scene), DEPTH_M).touches
     session.press(AT_CORNER @ session.T_base_sensor, DEPTH_M)
     session.add_touch()
     assert not session.choose_units("mm")

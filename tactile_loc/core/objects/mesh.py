@@ -34,6 +34,15 @@ class TriangleMesh:
         a, b, c = np.moveaxis(self.triangles_m, 1, 0)
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
+    @cached_property
+    def vertex_normals(self) -> NDArray[np.float64]:
+        """The unit normal (V, 3) at each vertex: the area-weighted mean over its faces, or zero without faces."""
+        a, b, c = np.moveaxis(self.triangles_m, 1, 0)
+        normals = np.zeros_like(self.vertices_m)
+        for corner in range(3):
+            np.add.at(normals, self.faces[:, corner], np.cross(b - a, c - a))
+        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
     @property
     def extents_m(self) -> NDArray[np.float64]:
         """Size (3,) of the axis-aligned box around the surface, metres."""

@@ -19,6 +19,7 @@ from tactile_loc_app.page.file_controls import FileControls
 from tactile_loc_app.page.follower import Follower
 from tactile_loc_app.page.markdown import Paragraph, list_numbered
 from tactile_loc_app.page.notices import Notices
+from tactile_loc_app.page.overlay import Overlay
 from tactile_loc_app.page.pictures import EMPTY, paint_beside, paint_wide
 from tactile_loc_app.page.scene_view import SceneView, choose_magnification, from_view
 from tactile_loc_app.session import Session
@@ -32,6 +33,10 @@ OWN, NO_TOUCH = "own file", "-"
 READ_FROM_PATHS = ("file", "calibrated")  # sensors that are chosen by their path
 ARCHIVE = "tactile-loc-result.zip"
 PRIOR_MM, PRIOR_DEG = 5.0, 15.0
+BRAND = (45, 95, 155)
+PLAIN: dict[str, Any] = {"color": "gray"}  # of buttons that are not the next step
+READY = "Locate the object, or add another touch."
+START = "Drag the finger over the object, and add this touch. An edge or a corner tells most."
 
 
 class VisitorPage:
@@ -45,42 +50,60 @@ class VisitorPage:
             limit_uploads(client, self.notices.show_error)
             self._add_controls()
             self._show_object()
+            if session.result is not None:  # of a page that was loaded again
+                self._show_result(session.result)
         except BaseException:  # the visitor may have left
             self.close()
+            session.close()
             raise
 
     def _add_controls(self) -> None:
         client, session = self.client, self.session
-        client.gui.configure_theme(control_width="large", show_share_button=False)
+        client.gui.configure_theme(control_width="large", show_share_button=False, show_logo=False, brand_color=BRAND)
         client.gui.main_panel.dock_right()
+        self.overlay = Overlay(client)
         tabs = client.gui.add_tab_group()
         with tabs.add_tab("Locate"):
+            self._add_buttons()
             self._add_object_controls()
             self._add_press_controls()
             self._add_result_controls()
             self.files = FileControls(client, session, self.notices, self._show_touches)
             self._add_prior_controls()
-            self._add_export_controls()
         with tabs.add_tab("Calibrate a sensor"):
             self.calibration = CalibrationTab(client, session.calibrator, self.notices, self._use_calibrated)
 
     def close(self) -> None:
-        """End the visitor's thread, and delete the visitor's files."""
+        """End the visitor's thread. The session goes on."""
         self.follower.stop()
-        self.session.close()
+
+    def _add_buttons(self) -> None:
+        """Add the steps from a touch to a result, where they are always visible."""
+        gui = self.client.gui
+        self.add = gui.add_button("Add this touch", icon="plus")
+        self.locate = gui.add_button("Locate", color="green", icon="current-location")
+        self.next = gui.add_button("Suggest the next touch", icon="hand-finger", disabled=True, **PLAIN)
+        hint = "result.json, report.html, the touches, and a Python script."
+        self.export = gui.add_button("Download the result", icon="download", hint=hint, disabled=True, **PLAIN)
+        self.add.on_click(self.notices.guard(self._add_touch))
+        self.locate.on_click(self.notices.guard(self._locate))
+        self.next.on_click(self.notices.guard(self._suggest_next))
+        self.export.on_click(self.notices.guard(self._export))
 
     # object and sensor
 
     def _add_object_controls(self) -> None:
         gui, config = self.client.gui, self.session.localizer.config
-        with gui.add_folder("1. Object and sensor"):
+        with gui.add_folder("Object and sensor"):
             demo = config.object.path if config.object.path in DEMO_OBJECTS else OWN
             self.objects = gui.add_dropdown("Object", (*DEMO_OBJECTS, OWN), initial_value=demo)
-            unit = config.object.units if demo == OWN else "mm"
+            unit = config.object.units if demo == OWN else "auto"
             self.units = gui.add_dropdown(
                 "Unit of own files", get_args(Units), initial_value=unit, hint="A STEP file states its own unit."
             )
-            self.upload = gui.add_upload_button("Open your own mesh", hint="An STL, OBJ, PLY or STEP file.")
+            self.upload = gui.add_upload_button(
+                "Open your own mesh", hint="An STL, OBJ, PLY or STEP file.", icon="upload", **PLAIN
+            )
             names = [name for name in registry().names("sensor") if name not in READ_FROM_PATHS]
             chosen = config.sensor.name if config.sensor.name in names else OWN
             self.sensors = gui.add_dropdown("Sensor", (*names, OWN), initial_value=chosen)
@@ -90,7 +113,7 @@ class VisitorPage:
                 visible=chosen == OWN,
                 hint="A sensor's .toml file or a calibration folder on this computer.",
             )
-            self.use_sensor = gui.add_button("Use this sensor file", visible=chosen == OWN)
+            self.use_sensor = gui.add_button("Use this sensor file", visible=chosen == OWN, **PLAIN)
             self.about = Paragraph(self.client)
         self.objects.on_update(self.notices.guard(self._choose_object))
         self.units.on_update(self.notices.guard(self._choose_units))
@@ -157,18 +180,16 @@ class VisitorPage:
 
     def _add_press_controls(self) -> None:
         gui = self.client.gui
-        with gui.add_folder("2. Touch"):
+        with gui.add_folder("Finger and touches"):
             Paragraph(self.client, "Drag the arrows and rings. The finger moves along its axis onto the object.")
             self.depth = gui.add_slider("Press (mm)", 0.05, 2.0, 0.01, 0.5)
             self.shape = gui.add_image(EMPTY, label="Contact shape")
             self.noise = gui.add_dropdown("Noise", get_args(NoiseLevel), initial_value="none")
-            self.add = gui.add_button("Add this touch", color="blue")
             self.touches = Paragraph(self.client)
             self.chosen_touch = gui.add_dropdown("Touch", (NO_TOUCH,), visible=False)
-            self.remove = gui.add_button("Remove this touch", visible=False)
-            self.clear = gui.add_button("Remove all touches", visible=False)
+            self.remove = gui.add_button("Remove this touch", visible=False, **PLAIN)
+            self.clear = gui.add_button("Remove all touches", visible=False, **PLAIN)
         self.depth.on_update(self.notices.guard(self._ask_press))
-        self.add.on_click(self.notices.guard(self._add_touch))
         self.remove.on_click(self.notices.guard(self._remove_touch))
         self.clear.on_click(self.notices.guard(self._clear_touches))
 
@@ -234,8 +255,7 @@ class VisitorPage:
 
     def _add_result_controls(self) -> None:
         gui = self.client.gui
-        with gui.add_folder("3. Locate"):
-            self.locate = gui.add_button("Locate", color="green")
+        with gui.add_folder("Result"):
             self.status = Paragraph(self.client)
             self.verdict = Paragraph(self.client, visible=False)
             self.number = gui.add_slider("Pose", 1, 2, 1, 1, visible=False)
@@ -243,11 +263,8 @@ class VisitorPage:
             self.pose = Paragraph(self.client, visible=False)
             self.compared = gui.add_image(EMPTY, label="Left: observed. Right: predicted by this pose", visible=False)
             self.history = Paragraph(self.client, visible=False)
-            self.next = gui.add_button("Suggest the next touch", visible=False)
-        self.locate.on_click(self.notices.guard(self._locate))
         self.number.on_update(self.notices.guard(self._show_pose))
         self.shown_touch.on_update(self.notices.guard(self._show_pose))
-        self.next.on_click(self.notices.guard(self._suggest_next))
 
     def _locate(self) -> None:
         """Locate the object in the thread of this callback, so that the page can still be used."""
@@ -255,26 +272,33 @@ class VisitorPage:
         self.locate.disabled = True
         self._clear_result()
         touches = name_count(len(self.session.touches))
-        self.status.fill("Locating from {}. The first time for an object takes longer ...", touches)
+        self.overlay.begin(f"Locating from {touches}. The first time takes longer ...")
         try:
-            found = self.session.locate()
+            found = self.session.locate(self._show_progress)
         finally:
             self.locate.disabled = False
-            self.status.fill("")
+            self.overlay.clear()
             if self.session.result is not None:
                 self._show_result(self.session.result)
         if found is not self.session.result:
             self.notices.notify("The touches changed", "Locate again to use the present touches.")
 
+    def _show_progress(self, task: str, share: float) -> None:
+        """Show what the first run does."""
+        self.overlay.show_progress(f"Building the model, once per object: {task}", share)
+
     def _show_result(self, found: Localization) -> None:
+        self.overlay.show_result(found)
         seconds = f"{sum(found.seconds.values()):.2f}"
         self.status.fill("Located in {} s from {}", seconds, name_count(len(found.touches)))
         self.verdict.fill("", row="{}\n\n", rows=[(line,) for line in found.summary().splitlines()])
         self._write_history()
         for slider, count in ((self.number, len(found.hypotheses)), (self.shown_touch, len(found.touches))):
             slider.max, slider.value, slider.visible = max(count, 2), 1, count > 1
-        for handle in (self.verdict, self.pose, self.compared, self.history, self.next):
+        for handle in (self.verdict, self.pose, self.compared, self.history):
             handle.visible = True
+        self.next.disabled = self.export.disabled = False
+        self.next.color = "gray" if found.verdict == "certain" else BRAND
         self._show_pose()
 
     def _write_history(self) -> None:
@@ -304,9 +328,11 @@ class VisitorPage:
 
     def _clear_result(self) -> None:
         self.view.clear_result()
+        self.overlay.show_hint(READY if self.session.touches else START)
         self.status.fill("")
-        for handle in (self.verdict, self.number, self.shown_touch, self.pose, self.compared, self.history, self.next):
+        for handle in (self.verdict, self.number, self.shown_touch, self.pose, self.compared, self.history):
             handle.visible = False
+        self.next.disabled = self.export.disabled = True
 
     def _suggest_next(self) -> None:
         """Draw the next touch, and move the finger there."""
@@ -345,14 +371,6 @@ class VisitorPage:
         self.session.set_prior(T, 1e-3 * self.prior_mm.value, float(np.radians(self.prior_deg.value)))
 
     # export
-
-    def _add_export_controls(self) -> None:
-        gui = self.client.gui
-        with gui.add_folder("4. Export"):
-            self.export = gui.add_button(
-                "Download the result", hint="result.json, report.html, the touches, and a Python script."
-            )
-        self.export.on_click(self.notices.guard(self._export))
 
     def _export(self) -> None:
         with tempfile.TemporaryDirectory() as folder:

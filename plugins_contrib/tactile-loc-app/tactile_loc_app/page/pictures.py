@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import ContactShape, SensorGeometry, paint_shape
 
-WIDE_PX, GAP_PX = 288, 12  # long side of one picture, and the gap between two
+WIDE_PX, GAP_PX = 216, 12  # long side of one picture, and the gap between two
 Picture = NDArray[np.uint8]
 
 EMPTY = np.full((96, 96, 3), 236, np.uint8)
@@ -30,11 +30,3 @@ def paint_beside(left: Picture, right: Picture) -> Picture:
     """Return two pictures (H, W, 3) of one size side by side."""
     gap = np.full((left.shape[0], GAP_PX, 3), 255, np.uint8)
     return np.concatenate([left, gap, right], axis=1)
-
-
-def colour_probability(probability: float, most: float) -> tuple[int, int, int]:
-    """Return the colour of a pose: yellow and orange if probable, violet if not. `most` is the largest probability."""
-    from matplotlib import colormaps
-
-    red, green, blue, _ = colormaps["plasma"](0.1 + 0.75 * probability / max(most, 1e-12), bytes=True)
-    return int(red), int(green), int(blue)

@@ -11,12 +11,14 @@ from tactile_loc import (
     DrawnSensor,
     Localization,
     ObjectModel,
+    Palette,
     RatedApproach,
     SensorGeometry,
     Touch,
     TriangleMesh,
     simplify_mesh,
 )
+from tactile_loc.commands import format_percent
 from tactile_loc.plugin.helpers import (
     invert,
     make_transform,
@@ -25,7 +27,6 @@ from tactile_loc.plugin.helpers import (
     rotation_to_quaternion,
 )
 
-from tactile_loc_app.page.pictures import colour_probability
 from tactile_loc_app.virtual_finger import Pose, Press
 
 if TYPE_CHECKING:
@@ -33,17 +34,30 @@ if TYPE_CHECKING:
 
 UNITS_PER_M = 100.0  # one unit of the view is 1 cm, because cameras of the view do not come near small objects
 MOST_FACES = 20_000  # triangles of the object in the view
-STEEL, GEL, HOUSING, TOUCHED = (150, 158, 168), (92, 158, 230), (60, 66, 74), (224, 49, 49)
-NEXT, EXPECTED = (43, 138, 62), (214, 170, 40)
+PALETTE = Palette()
+BEST, TRUTH, REST, GEL, HOUSING, TOUCHED, NEXT, EXPECTED = (
+    tuple(round(255 * share) for share in Palette.rgb(colour))
+    for colour in (PALETTE.best, PALETTE.truth, "#a9b1bb", PALETTE.gel, PALETTE.housing, PALETTE.contact, PALETTE.next,
+                   PALETTE.expected)
+)  # fmt: skip
+SKY = np.linspace([236, 241, 246], [252, 253, 254], 64)[::-1, None].astype(np.uint8)  # behind the scene
+GIZMO = 0.8  # length of the finger's arrows, in widths of the gel
+GRID_MM, FLOOR = 10.0, 4.0  # cells of the floor, and the floor's side in sizes of the object
+OUTLINE = 0.006  # width of the outline of the true pose, in sizes of the object
 LARGEST_M = 2e-3  # half axis of a drawn ellipsoid, at most; a small ellipsoid is magnified by a power of ten
 SIGMAS = 2.0  # standard deviations of the half axes of ellipsoids in a DrawnScene
 MOST_LIKELY = 500  # drawn poses of the posterior
 PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}  # shadows slow down a view without a GPU
 LEAST_SHOWN = 0.01  # probability of a hypothesis that is drawn although it is not chosen
 NEAR, FAR = 0.1, 500.0  # range that the camera of the view sees, in units of the view
-FROM = np.array([0.75, -1.0, 0.7])  # direction from which the object is seen at first
-PHONE_ASPECT, PHONE_AWAY, SHEET = 0.6, 1.5, 0.6  # on a narrow page, controls cover the lower part (a share) of the view
-COVERING = 1.01  # scale of the chosen hypothesis, which hides the object at rest if both poses are equal
+FROM = np.array([0.52, -0.70, 0.49])  # direction, of length 1, from which the object is seen at first
+ROOM = 1.15  # space around the object when it is framed
+PHONE_ASPECT, SHEET, PHONE_ROOM = (
+    0.6,
+    0.55,
+    1.25,
+)  # on a narrow page, controls cover the lower part (a share) of the view
+GHOST, MOST_WEIGHTS = 0.35, 5  # largest opacity of a pose that is not chosen, and largest number of written weights
 
 
 def to_view(T: Pose) -> dict[str, NDArray[np.float64]]:
@@ -65,9 +79,11 @@ class SceneView:
         self.prior_gizmo: TransformControlsHandle | None = None
         self._mesh: TriangleMesh | None = None
         self._object: Any = None
+        self._truth: Any = None
         self._gel: Any = None
         self._finger: Any = None
         self.scene.set_up_direction("+z")
+        self.scene.set_background_image(SKY.repeat(2, axis=1), format="png")
 
     # object and finger
 
@@ -77,31 +93,54 @@ class SceneView:
         self._gel = self._finger = self.finger_gizmo = self.prior_gizmo = None
         mesh = obj.mesh if len(obj.mesh.faces) <= MOST_FACES else simplify_mesh(obj.mesh, MOST_FACES)
         self._mesh = mesh
-        self._object = self._add_mesh("/object", mesh, STEEL)
+        self._object = self._add_mesh("/object", mesh, REST)
+        self._add_outline(mesh)
+        self._add_floor(mesh)
         self._look_at(mesh, geometry)
 
-    def _add_mesh(self, name: str, mesh: TriangleMesh, colour: tuple[int, int, int], **options: Any) -> Any:
-        vertices = np.asarray(UNITS_PER_M * mesh.vertices_m, np.float32)
-        return self.scene.add_mesh_simple(
-            name,
-            vertices,
-            mesh.faces.astype(np.uint32),
-            color=colour,
-            flat_shading=True,
-            side="double",
-            **PLAIN,
-            **options,
+    def _add_outline(self, mesh: TriangleMesh) -> None:
+        """Add the outline of the object at rest: the back of its surface, moved outwards. It is hidden at first."""
+        width_m = OUTLINE * float(np.linalg.norm(mesh.extents_m))
+        grown = TriangleMesh(mesh.vertices_m + width_m * mesh.vertex_normals, mesh.faces)
+        self._truth = self._add_mesh("/truth", grown, TRUTH, side="back", flat_shading=False, visible=False)
+
+    def _add_floor(self, mesh: TriangleMesh) -> None:
+        """Add a floor below the object at rest, with a grid in mm."""
+        low, high = UNITS_PER_M * mesh.corners_m.min(axis=0), UNITS_PER_M * mesh.corners_m.max(axis=0)
+        cell = 1e-3 * UNITS_PER_M * GRID_MM
+        side = cell * np.ceil(FLOOR * np.linalg.norm(high - low) / cell)
+        middle = [*(0.5 * (low + high))[:2], low[2] - 0.02]
+        self.scene.add_grid(
+            "/floor",
+            side,
+            side,
+            position=middle,
+            cell_size=cell,
+            section_size=5 * cell,
+            cell_color=(214, 220, 227),
+            section_color=(184, 193, 203),
+            fade_distance=2.5 * side,
         )
+        corner = np.array([0.5 * high[0] + 0.5 * low[0], low[1] - 0.25 * side / FLOOR, low[2]])
+        self.scene.add_label("/floor/size", f"{GRID_MM:g} mm grid", position=corner - middle, anchor="center-center")
+
+    def _add_mesh(self, name: str, mesh: TriangleMesh, colour: tuple[int, ...], **options: Any) -> Any:
+        look = {"flat_shading": True, "side": "double", **PLAIN, **options}
+        vertices = np.asarray(UNITS_PER_M * mesh.vertices_m, np.float32)
+        return self.scene.add_mesh_simple(name, vertices, mesh.faces.astype(np.uint32), color=colour, **look)
 
     def _look_at(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
         """Look at the middle of the object, in the part of the view that the controls leave free."""
         camera, middle = self.client.camera, UNITS_PER_M * mesh.corners_m.mean(axis=0)
-        size = UNITS_PER_M * (np.linalg.norm(mesh.extents_m) + max(np.ptp(geometry.rectangle[:2]), 0.01))
+        finger_m = max(np.ptp(geometry.rectangle[:2]), 0.01)
+        middle = middle + np.array([0.0, 0.0, 0.25 * UNITS_PER_M * finger_m])
+        radius = 0.5 * UNITS_PER_M * (np.linalg.norm(mesh.extents_m) + finger_m)
+        away = ROOM * radius / np.sin(0.5 * camera.fov) / min(camera.aspect, 1.0)
         if camera.aspect < PHONE_ASPECT:
-            size *= PHONE_AWAY
-            middle = middle - 0.5 * SHEET * measure_height(size * FROM, camera.fov)
+            away *= PHONE_ROOM  # for the card above the object
+            middle = middle - 0.5 * SHEET * measure_height(away * FROM, camera.fov)
         camera.near, camera.far = NEAR, FAR
-        camera.position = middle + size * FROM
+        camera.position = middle + away * FROM
         camera.look_at = middle  # after the position, which moves this point, too
 
     def add_finger_gizmo(self, T_base_sensor: Pose, geometry: SensorGeometry) -> TransformControlsHandle:
@@ -117,7 +156,7 @@ class SceneView:
 
     def _size_gizmo(self, geometry: SensorGeometry) -> float:
         x0, x1, y0, y1 = geometry.rectangle
-        return UNITS_PER_M * max(x1 - x0, y1 - y0)
+        return GIZMO * UNITS_PER_M * max(x1 - x0, y1 - y0)
 
     def read_finger(self, geometry: SensorGeometry) -> Pose:
         """Return the finger's pose `T_base_sensor` (4, 4), metres, from its gizmo."""
@@ -135,21 +174,23 @@ class SceneView:
         if self._finger is None:
             self._finger = self.scene.add_frame("/finger", show_axes=False, **to_view(press.T_base_sensor))
             self._gel = self.scene.add_mesh_simple(
-                "/finger/gel", vertices, faces, color=GEL, opacity=0.75, side="double", **PLAIN
+                "/finger/gel", vertices, faces, color=GEL, opacity=0.9, side="double", **PLAIN
             )
-            self._add_box("/finger/housing", press.geometry, HOUSING, 0.35)
+            self._add_body("/finger/body", press.geometry, HOUSING, 0.5)
         with self.client.atomic():
             for name, value in to_view(press.T_base_sensor).items():
                 setattr(self._finger, name, value)
             self._gel.vertices = vertices
 
-    def _add_box(self, name: str, geometry: SensorGeometry, colour: tuple[int, int, int], opacity: float) -> None:
-        """Add a sensor's housing, which lies behind the gel, in the sensor frame."""
-        housing = np.asarray(UNITS_PER_M * DrawnSensor(geometry).housing_m, np.float32).reshape(-1, 3)
-        housing[:, 2] -= 1e-3 * UNITS_PER_M * 2  # behind the deepest point of a pressed gel
-        faces = np.arange(len(housing), dtype=np.uint32).reshape(-1, 3)
+    def _add_body(self, name: str, geometry: SensorGeometry, colour: tuple[int, ...], opacity: float) -> None:
+        """Add a sensor's housing and body, which lie behind the gel, in the sensor frame."""
+        sensor = DrawnSensor(geometry)
+        parts = np.concatenate([sensor.housing_m, sensor.body_m]).reshape(-1, 3)
+        solid = np.asarray(UNITS_PER_M * parts, np.float32)
+        solid[:, 2] -= 1e-3 * UNITS_PER_M * 2  # behind the deepest point of a pressed gel
+        faces = np.arange(len(solid), dtype=np.uint32).reshape(-1, 3)
         self.scene.add_mesh_simple(
-            name, housing, faces, color=colour, opacity=opacity, flat_shading=True, side="double", **PLAIN
+            name, solid, faces, color=colour, opacity=opacity, flat_shading=True, side="double", **PLAIN
         )
 
     # touches and results
@@ -172,33 +213,46 @@ class SceneView:
 
     def clear_result(self) -> None:
         """Remove hypotheses, ellipsoid and next touch."""
-        self._object.visible = True
+        self._object.visible, self._truth.visible = True, False
         for name in ("/poses", "/cloud", "/ellipsoid", "/next"):
             self.scene.remove_by_name(name)
 
     def show_result(self, found: Localization, chosen: int) -> None:
-        """Draw the probable hypotheses, coloured by probability, and the chosen one opaque, with its ellipsoid.
+        """Draw the probable hypotheses, the chosen one solid and others as ghosts, with their weights.
 
-        The object at rest is hidden if a touch was not simulated, because it rests elsewhere then.
+        The object at rest becomes an outline. It is hidden if a touch was not simulated, because it rests elsewhere
+        then.
         """
         self.clear_result()
-        self._object.visible = all(touch.T_sensor_object is not None for touch in found.touches)
-        drawn = DrawnScene.of(found, in_base=True)
-        for number, (T, probability) in enumerate(zip(drawn.poses, drawn.probabilities, strict=True)):
-            if self._mesh is not None and (number == chosen or probability >= LEAST_SHOWN):
-                colour = colour_probability(float(probability), float(drawn.probabilities.max()))
-                look = {"scale": COVERING} if number == chosen else {"opacity": 0.12}
-                self._add_mesh(f"/poses/{number}", self._mesh, colour, **look, **to_view(T))
+        self._object.visible = False
+        self._truth.visible = all(touch.T_sensor_object is not None for touch in found.touches)
+        drawn, mesh = DrawnScene.of(found, in_base=True), self._mesh
+        assert mesh is not None
+        p = drawn.probabilities
+        shown = [number for number in range(len(p)) if number == chosen or p[number] >= LEAST_SHOWN]
+        for number in shown:
+            look = {} if number == chosen else {"opacity": GHOST * float(np.sqrt(p[number] / p.max()))}
+            self._add_mesh(f"/poses/{number}", mesh, BEST, **look, **to_view(drawn.poses[number]))
+        if len(shown) > 1:
+            self._write_weights(drawn, mesh, shown[:MOST_WEIGHTS])
         self._show_cloud(drawn)
         self._show_ellipsoid(drawn, chosen)
 
+    def _write_weights(self, drawn: DrawnScene, mesh: TriangleMesh, shown: list[int]) -> None:
+        """Write the probabilities beside the vertex of the object whose places differ most between the poses."""
+        T = drawn.poses[shown]
+        places = T[:, :3, :3] @ mesh.vertices_m.T + T[:, :3, 3:]
+        vertex = int(places.var(axis=0).sum(axis=0).argmax())
+        for number, place in zip(shown, places[:, :, vertex], strict=True):
+            text = format_percent(float(drawn.probabilities[number]))
+            self.scene.add_label(f"/poses/weight-{number}", text, position=UNITS_PER_M * place, anchor="center-center")
+
     def _show_cloud(self, drawn: DrawnScene) -> None:
         """Draw the middle of the object at the most probable poses of the posterior."""
-        T, p = drawn.likely_poses[:MOST_LIKELY], drawn.likely[:MOST_LIKELY]
+        T = drawn.likely_poses[:MOST_LIKELY]
         places = T[:, :3, :3] @ drawn.mesh.centroid_m + T[:, :3, 3]
-        colours = np.array([colour_probability(float(one), float(p[0])) for one in p], np.uint8)
         self.scene.add_point_cloud(
-            "/cloud", np.asarray(UNITS_PER_M * places, np.float32), colours, point_size=0.06, point_shape="circle"
+            "/cloud", np.asarray(UNITS_PER_M * places, np.float32), BEST, point_size=0.06, point_shape="circle"
         )
 
     def _show_ellipsoid(self, drawn: DrawnScene, chosen: int) -> None:
@@ -219,7 +273,7 @@ class SceneView:
         """Draw the sensor at the start of the next touch, and a line along its way."""
         self.scene.remove_by_name("/next")
         self.scene.add_frame("/next", show_axes=False, **to_view(rated.approach.T_base_sensor))
-        self._add_box("/next/sensor", geometry, NEXT, 0.5)
+        self._add_body("/next/sensor", geometry, NEXT, 0.35)
         start = geometry.gel_middle_m
         way_m = np.nanmin(rated.travel_m) if np.isfinite(rated.travel_m).any() else rated.approach.travel_m
         line = np.stack([start, start + np.array([0, 0, way_m])])[None]

@@ -18,8 +18,8 @@ ShowProgress = Callable[[str, float], None]
 class TaskProgress(Progress):
     """Shows the running task and its share, 0 to 1. It ends the work when `is_wanted` returns False."""
 
-    def __init__(self, show: ShowProgress | None, is_wanted: Callable[[], bool]) -> None:
-        self._show, self._is_wanted = show, is_wanted
+    def __init__(self, show: ShowProgress | None = None, is_wanted: Callable[[], bool] = lambda: True) -> None:
+        self.show, self._is_wanted = show, is_wanted
         self._task, self._done, self._total, self._shown_s = "", 0, 1, 0.0
 
     @contextmanager
@@ -33,6 +33,6 @@ class TaskProgress(Progress):
             raise AppError("the calibration was stopped; calibrate again")
         self._done += steps
         now_s = time.monotonic()
-        if self._show is not None and now_s - self._shown_s > EVERY_S:
+        if self.show is not None and now_s - self._shown_s > EVERY_S:
             self._shown_s = now_s
-            self._show(self._task, min(self._done / self._total, 1.0))
+            self.show(self._task, min(self._done / self._total, 1.0))
