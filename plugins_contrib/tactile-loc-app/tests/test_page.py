@@ -139,7 +139,9 @@ def test_names_in_files_are_shown_literally(tmp_path, store):
         (tmp_path / "good.zip").write_bytes(pack({**listed, hostile(".npz"): touch}))
         visitor = program.Visitor(f"{server.url}/?websocket=ws://127.0.0.1:9", tmp_path)
         try:
-            program.wait_until(lambda: "connect-src" in read_console(visitor), "another server is not refused")
+            program.wait_until(lambda: server.pages, "the page asks another server")
+            visitor.browser.get("about:blank")
+            program.wait_until(lambda: not server.pages, "the visitor does not leave")
             visitor.browser.get(server.url)
             read_console(visitor)
             page = program.await_page(server, visitor)
@@ -202,7 +204,7 @@ def test_visitors_press_locate_and_export(tmp_path, store):
             visitor.browser.refresh()
             program.wait_until(lambda: mine.session in [page.session for page in server.pages.values()] and
                                mine not in server.pages.values(), "the session is lost")  # fmt: skip
-            (mine,) = [page for page in server.pages.values() if page.session is mine.session]
+            (mine,) = (page for page in server.pages.values() if page.session is mine.session)
             visitor.await_text("Touches: touch-1, touch-2")
             assert visitor.browser.title == "tactile-loc"
             program.wait_until(lambda: "websocket" not in visitor.browser.current_url, "the address stays long")

@@ -12,6 +12,7 @@ from tactile_loc_app.errors import AppError
 from tactile_loc_app.page.markdown import Paragraph, list_numbered
 from tactile_loc_app.page.notices import Notices
 from tactile_loc_app.page.pictures import EMPTY
+from tactile_loc_app.page.sensor_cover import SensorCover
 from tactile_loc_app.uploads import LARGEST_MB, take_upload
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ class CalibrationTab:
         self, client: ClientHandle, calibrator: Calibrator, notices: Notices, use: Callable[[MadeSensor], None]
     ) -> None:
         self.client, self.calibrator, self._notices, self._use = client, calibrator, notices, use
+        self.cover = SensorCover(client)
         self._add_photo_controls()
         self._add_length_controls()
         self._add_result_controls()
@@ -42,7 +44,7 @@ class CalibrationTab:
         gui = self.client.gui
         with gui.add_folder("1. Photos"):
             Paragraph(self.client, HOW_TO)
-            self.reference = gui.add_upload_button("Upload the photo without contact")
+            self.reference = gui.add_upload_button("Upload the photo without contact", icon="upload")
             self.photos = gui.add_upload_button(
                 "Upload photos of the ball",
                 hint=f"A photo, a video, or a zip archive of many photos, at most {LARGEST_MB} MB. A table presses.csv "
@@ -159,7 +161,9 @@ class CalibrationTab:
     def _show_reading(self) -> None:
         outcome = self._require_made().outcome
         number = outcome.held_out[min(int(self.reading_of.value), len(outcome.held_out)) - 1]
-        self.reading.image = render_figure(draw_reading(outcome, number))
+        figure = draw_reading(outcome, number)
+        self.reading.image = render_figure(figure)
+        self.cover.show(figure)
 
     def _use_sensor(self) -> None:
         self._use(self._require_made())

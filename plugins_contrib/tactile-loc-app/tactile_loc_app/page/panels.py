@@ -61,9 +61,9 @@ class VisitorPage:
         client, session = self.client, self.session
         client.gui.configure_theme(control_width="large", show_share_button=False, show_logo=False, brand_color=BRAND)
         client.gui.main_panel.dock_right()
-        self.overlay = Overlay(client)
         tabs = client.gui.add_tab_group()
         with tabs.add_tab("Locate"):
+            self.overlay = Overlay(client)  # in the tab, so that it is hidden with it
             self._add_buttons()
             self._add_object_controls()
             self._add_press_controls()

@@ -1,0 +1,50 @@
+"""The sensor in place of the 3D view, while the tab of the calibration is open."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import TYPE_CHECKING
+
+from tactile_loc import Palette
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from viser import ClientHandle
+
+PALETTE = Palette()
+DPI = 200
+STYLE = (
+    "<style>.cover{position:fixed;left:0;top:0;bottom:0;right:388px;background:#f7f9fb;display:flex;flex-direction:column;"
+    "align-items:center;justify-content:center;gap:18px;padding:24px;font:17px/1.4 sans-serif;z-index:40}"
+    ".cover>*{max-width:100%;max-height:82%}"
+    "@media(max-width:640px){.cover{right:0;bottom:60%;font-size:13px;padding:8px}}</style>"
+)
+DRAWING = """<svg viewBox="0 0 460 300" width="620" font-family="sans-serif" font-size="15" fill="{ink}">
+<path d="M110 210h240v32H110z" fill="{gel}" stroke="{ink}"/><path d="M95 242h270l-40 52H135z" fill="{housing}"/>
+<path d="M230 120a52 52 0 0 1 0 104a52 52 0 0 1 0-104" fill="{best}" stroke="{ink}"/>
+<path d="M197 210q33 30 66 0" fill="none" stroke="{truth}" stroke-width="3"/>
+<path d="M230 20v66m-8-13 8 15 8-15" fill="none" stroke="{ink}" stroke-width="2.5"/>
+<path d="M300 120v104m-6-98 6-7 6 7m-12 92 6 7 6-7" fill="none" stroke="{soft}"/>
+<text x="312" y="177">ball diameter</text><text x="30" y="231">gel</text><text x="30" y="272" >sensor</text>
+<text x="245" y="48">press, and take a photo</text></svg>"""
+STEPS = "Press a ball all over the gel, and take a photo of each press. One photo without contact is enough."
+
+
+class SensorCover:
+    """Covers the view with a drawing of how to press, and then with what the calibrated sensor reads."""
+
+    def __init__(self, client: ClientHandle) -> None:
+        colours = {name: getattr(PALETTE, name) for name in ("ink", "soft", "gel", "housing", "best", "truth")}
+        self._handle = client.gui.add_html(self._cover(DRAWING.format(**colours) + f"<div>{STEPS}</div>"))
+
+    def show(self, figure: Figure) -> None:
+        """Show a figure."""
+        file = io.BytesIO()
+        figure.savefig(file, dpi=DPI, format="png")
+        data = base64.b64encode(file.getvalue()).decode()
+        self._handle.content = self._cover(f'<img alt="a reading" src="data:image/png;base64,{data}">')
+
+    @staticmethod
+    def _cover(inside: str) -> str:
+        return f'{STYLE}<div class="cover">{inside}</div>'
