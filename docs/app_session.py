@@ -295,7 +295,7 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
             visitor.click("Download the result")
             names = zipfile.ZipFile(visitor.await_download(ARCHIVE)).namelist()
             note("export the result")
-            assert {"result.json", "report.html", "locate.py", "bracket.stl"} <= set(names)
+            assert {"result.json", "report.html", "locate.py", "bracket.stl"} <= {Path(name).name for name in names}
             errors_m = page.session.require_result().measure_errors_m(page.session.object)
             rows.append(("verdict", str(page.session.require_result().verdict)))
             rows.append(("error of the first pose", f"{1e3 * float(np.asarray(errors_m)[0]):.3f} mm"))

@@ -43,7 +43,7 @@ def test_the_remaining_time_follows_from_the_share(overlay, monkeypatch):
     now_s = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
     overlay.begin("working")
-    assert "left" not in overlay._handle.content
+    assert " left" not in overlay._handle.content
     now_s[0] += 10.0
     overlay.show_progress("working", 0.25)
     assert "about 30 s left" in overlay._handle.content
