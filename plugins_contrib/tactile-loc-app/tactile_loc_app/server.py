@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 HOST, PORT = "127.0.0.1", 8080
 KEPT_S, MOST_KEPT = 900.0, 8  # time for which the session of a visitor who left is kept, and number of such sessions
-RELOAD_S = 1.0  # time within which a browser that loads the page again ends its earlier connection
+RELOAD_S = 2.0  # time within which a browser that loads the page again ends its earlier connection
 
 
 class AppServer:
@@ -103,13 +103,15 @@ class AppServer:
             page, visit = self.pages.pop(client.client_id, None), self._visits.pop(client.client_id, "")
             if page is None:
                 return
-            before = self._kept.pop(visit, None)
-            if visit:
-                self._kept[visit] = page.session, time.monotonic()
+            gone = [page.session]
+            if visit:  # of two sessions of a visit, keep the one with more touches
+                before = self._kept.pop(visit, None)
+                gone += [] if before is None else [before[0]]
+                gone.sort(key=lambda one: len(one.touches), reverse=True)
+                self._kept[visit] = gone.pop(0), time.monotonic()
         page.close()
-        for session in (None if before is None else before[0], None if visit else page.session):
-            if session is not None:
-                session.close()
+        for session in gone:
+            session.close()
         self.forget_left(KEPT_S)
 
     def forget_left(self, after_s: float) -> None:
