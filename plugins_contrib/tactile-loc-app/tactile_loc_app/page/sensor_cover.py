@@ -28,7 +28,6 @@ DRAWING = """<svg viewBox="0 0 460 300" width="620" font-family="sans-serif" fon
 <path d="M300 120v104m-6-98 6-7 6 7m-12 92 6 7 6-7" fill="none" stroke="{soft}"/>
 <text x="312" y="177">ball diameter</text><text x="30" y="231">gel</text><text x="30" y="272" >sensor</text>
 <text x="245" y="48">press, and take a photo</text></svg>"""
-STEPS = "Press a ball all over the gel, and take a photo of each press. One photo without contact is enough."
 
 
 class SensorCover:
@@ -36,7 +35,7 @@ class SensorCover:
 
     def __init__(self, client: ClientHandle) -> None:
         colours = {name: getattr(PALETTE, name) for name in ("ink", "soft", "gel", "housing", "best", "truth")}
-        self._handle = client.gui.add_html(self._cover(DRAWING.format(**colours) + f"<div>{STEPS}</div>"))
+        self._handle = client.gui.add_html(self._cover(DRAWING.format(**colours)))
 
     def show(self, figure: Figure) -> None:
         """Show a figure."""
