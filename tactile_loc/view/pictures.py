@@ -53,7 +53,7 @@ def draw_result(localization: Localization, scene: Scene, title: str, errors_m: 
     """
     several, columns = len(localization.touches) > 1, 1 if len(localization.hypotheses) < 3 else 2
     photo = [] if several or localization.touch.image is None else [3.9]
-    widths = [*photo, 4.9 if several else 3.9, 2.0 * columns, 4.4]
+    widths = [*photo, 5.6 if several else 3.9, 2.0 * columns, 4.4]
     figure = make_figure(sum(widths), 5.4)
     figure.suptitle(title, size=15, weight="bold", x=0.5, y=0.978)
     panels: Any = figure.subfigures(1, len(widths), width_ratios=widths)
@@ -169,10 +169,10 @@ def _draw_all_observed(panel: SubFigure, localization: Localization) -> None:
     for k, touch in enumerate(shown):
         row, column = divmod(k, columns)
         width, height = 0.94 / columns, 0.70 / rows
-        axes = panel.add_axes((0.06 + column * width, 0.19 + (rows - 1 - row) * height, width - 0.06, height - 0.11))
+        axes = panel.add_axes((0.07 + column * width, 0.19 + (rows - 1 - row) * height, width - 0.09, height - 0.11))
         image = draw_contact_shape(axes, touch.contact_shape, touch.geometry, deepest_m)
         draw_outline(axes, touch)
-        axes.set_title(_write_touch(touch, ious[k], k in localization.agreement.outliers), size=9.5, pad=4)
+        axes.set_title(_write_touch(touch, ious[k], k in localization.agreement.outliers), size=9, pad=4)
     _write_heading(panel, f"{len(localization.touches)} observed contact shapes (mm)")
     _add_depth_bar(panel, image, 0.8)
     if text := _name_others(localization):
