@@ -239,7 +239,7 @@ def _draw_scene(panel: SubFigure, localization: Localization) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    axes = panel.add_axes((0.06, 0.075, 0.93, 0.815))
+    axes = panel.add_axes((0.08, 0.075, 0.83, 0.815))
     draw_pose(axes, DrawnScene.of(localization))
     handles: list[Any] = [Patch(fc=STEEL, ec=EDGE, lw=0.8, label="best pose")]
     if localization.touch.T_sensor_object is not None:
