@@ -317,6 +317,7 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
             note(f"calibrate a sensor from {BALLS} simulated photos of a ball")
             rows += read_errors(page)
             if pictures is not None:
+                wait_until(lambda: not page.calibration.start.disabled, "the reading is not drawn")
                 visitor.scroll_to("Download the sensor")
                 visitor.close_notifications()
                 visitor.browser.save_screenshot(str(pictures / "app-calibration.png"))
