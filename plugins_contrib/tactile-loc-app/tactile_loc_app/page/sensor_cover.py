@@ -20,14 +20,18 @@ STYLE = (
     ".cover>*{max-width:100%;max-height:82%}"
     "@media(max-width:640px){.cover{right:0;bottom:60%;font-size:13px;padding:8px}}</style>"
 )
-DRAWING = """<svg viewBox="0 0 460 300" width="620" font-family="sans-serif" font-size="15" fill="{ink}">
-<path d="M110 210h240v32H110z" fill="{gel}" stroke="{ink}"/><path d="M95 242h270l-40 52H135z" fill="{housing}"/>
-<path d="M230 120a52 52 0 0 1 0 104a52 52 0 0 1 0-104" fill="{best}" stroke="{ink}"/>
-<path d="M197 210q33 30 66 0" fill="none" stroke="{truth}" stroke-width="3"/>
-<path d="M230 20v66m-8-13 8 15 8-15" fill="none" stroke="{ink}" stroke-width="2.5"/>
-<path d="M300 120v104m-6-98 6-7 6 7m-12 92 6 7 6-7" fill="none" stroke="{soft}"/>
-<text x="312" y="177">ball diameter</text><text x="30" y="231">gel</text><text x="30" y="272" >sensor</text>
-<text x="245" y="48">press, and take a photo</text></svg>"""
+DRAWING = "\n".join(
+    [
+        '<svg viewBox="0 0 460 300" width="620" font-family="sans-serif" font-size="15" fill="{ink}">',
+        '<path d="M110 210h240v32H110z" fill="{gel}" stroke="{ink}"/><path d="M95 242h270l-40 52H135z" fill="{housing}"/>',
+        '<path d="M230 120a52 52 0 0 1 0 104a52 52 0 0 1 0-104" fill="{best}" stroke="{ink}"/>',
+        '<path d="M197 210q33 30 66 0" fill="none" stroke="{truth}" stroke-width="3"/>',
+        '<path d="M230 20v66m-8-13 8 15 8-15" fill="none" stroke="{ink}" stroke-width="2.5"/>',
+        '<path d="M300 120v104m-6-98 6-7 6 7m-12 92 6 7 6-7" fill="none" stroke="{soft}"/>',
+        '<text x="312" y="177">ball diameter</text><text x="30" y="231">gel</text><text x="30" y="272" >sensor</text>',
+        '<text x="245" y="48">press, and take a photo</text></svg>',
+    ]
+)
 
 
 class SensorCover:
