@@ -23,7 +23,8 @@ STYLE = (
 DRAWING = "\n".join(
     [
         '<svg viewBox="0 0 460 300" width="620" font-family="sans-serif" font-size="15" fill="{ink}">',
-        '<path d="M110 210h240v32H110z" fill="{gel}" stroke="{ink}"/><path d="M95 242h270l-40 52H135z" fill="{housing}"/>',
+        '<path d="M110 210h240v32H110z" fill="{gel}" stroke="{ink}"/>',
+        '<path d="M95 242h270l-40 52H135z" fill="{housing}"/>',
         '<path d="M230 120a52 52 0 0 1 0 104a52 52 0 0 1 0-104" fill="{best}" stroke="{ink}"/>',
         '<path d="M197 210q33 30 66 0" fill="none" stroke="{truth}" stroke-width="3"/>',
         '<path d="M230 20v66m-8-13 8 15 8-15" fill="none" stroke="{ink}" stroke-width="2.5"/>',
