@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc_benchmark.sliding_touches import SlidingTouches
-from tactile_loc_cli.results import make_title
 
 from tactile_loc.core.geometry.lie import compute_pose_errors, move_covariance
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
@@ -328,8 +327,9 @@ def save_demo(out: Path) -> None:
     localizer = Localizer.create(OBJECT)
     observations = [(localizer, touch) for touch in localizer.simulate_together(3, 0)]
     alone, together = localize_together(observations[:1]), localize_together(observations)
+    title = f"{together.verdict}: {localizer.object.name} on {localizer.config.sensor.name}"
     for name, palette in (("demo", LIGHT), ("demo-dark", DARK)):
-        figure = draw_one_versus_several(alone, together, make_title(together))
+        figure = draw_one_versus_several(alone, together, title)
         print(save_figure(out / f"{name}.png", palette.repaint(figure)))
 
 
