@@ -190,57 +190,36 @@ def search_together(
 ) -> FoundTogether:
     """Return the likeliest poses given several touches. Adds stage durations to `times`.
 
-    The rotated places most similar to the touch with the largest contact are collected. If none of them leads to a pose
-    that explains all touches well, or if there is a prior, those of all touches are collected. The poses whose surface
-    is nearest to all touches are moved by a few steps of registration. A wrong pose may be as near as a pose beside the
-    true one, but stays as far from the touches then. So the poses that are nearest now are registered further,
-    rendered, and compared with each touch. No returned pose is near a better one. If none of the first poses explains
-    the touches well, further batches are registered, until one of them brings no better pose. A `prior` is over poses
-    in the first touch's sensor frame.
+    The rotated places most similar to each touch are collected. The poses whose surface is nearest to all touches are
+    moved by a few steps of registration. A wrong pose may be as near as a pose beside the true one, but stays as far
+    from the touches then. So the poses that are nearest now are registered further, rendered, and compared with each
+    touch. No returned pose is near a better one. If none of the first poses explains the touches well, further batches
+    are registered, until one of them brings no better pose. A `prior` is over poses in the first touch's sensor frame.
     """
     seen = [None if prior is None else SeenFrom(prior, invert(view.T_sensor_first)) for view in views]
     search, options = searches[0], searches[0].options
-    found: list[tuple[Poses, NDArray[np.float64]]] = []
-    if prior is None:
-        largest = int(np.argmax([view.touch.contact_share for view in views]))
-        with times.stage("match"):
-            poses = _propose(views, searches, seen, [largest])
-            poses = _keep_nearest(views, search, poses, options.moved_together // 2, options.moved_together)
-        with times.stage("register"):
-            found.append(_register(views, search, poses, options.registered_together))
-    if not found or found[0][1].mean(axis=1).max() < options.wide_below_iou:
-        with times.stage("match"):
-            poses = _propose(views, searches, seen, range(len(views)))
-            grid, count = PoseGrid(poses, search.metric), max(1, round(EXPECTED_SHARE * options.moved_together))
-            expected = keep_expected(views, grid, prior, 2 * search.radius_m, count)
-            poses = _keep_nearest(views, search, poses, options.moved_together // 2, options.registered_widely)
-        with times.stage("register"):
-            found.append(_register_in_batches(views, search, poses))
-            if len(expected):
-                others, other_ious = _register(views, search, expected, prior=prior)
-                explain = other_ious.mean(axis=1) >= found[-1][1].mean(axis=1).max() - MOST_UNEXPLAINED
-                found.append((others[explain], other_ious[explain]))
+    with times.stage("match"):
+        poses = np.concatenate(
+            [
+                invert(view.T_sensor_first) @ some
+                for view, one, from_here in zip(views, searches, seen, strict=True)
+                for some, _ in one.propose(view.touch, one.options.candidates_together, from_here)
+            ]
+        )
+        grid, count = PoseGrid(poses, search.metric), max(1, round(EXPECTED_SHARE * options.moved_together))
+        expected = keep_expected(views, grid, prior, 2 * search.radius_m, count)
+        poses = _keep_nearest(views, search, poses, options.moved_together // 2, options.registered_widely)
     with times.stage("register"):
-        registered, ious = map(np.concatenate, zip(*found, strict=True))
+        registered, ious = _register_in_batches(views, search, poses)
+        if len(expected):
+            others, other_ious = _register(views, search, expected, prior=prior)
+            explain = other_ious.mean(axis=1) >= ious.mean(axis=1).max() - MOST_UNEXPLAINED
+            others, other_ious = others[explain], other_ious[explain]
+            registered, ious = np.concatenate([registered, others]), np.concatenate([ious, other_ious])
         kept = suppress_non_maxima(
             registered, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely
         )
     return FoundTogether(registered[kept], ious[kept])
-
-
-def _propose(
-    views: Sequence[View], searches: Sequence[PlaceSearch], seen: Sequence[Prior | None], numbers: Sequence[int]
-) -> Poses:
-    """Return the rotated places most similar to some touches as poses (K, 4, 4), metres, in the first sensor's frame.
-
-    `seen` are the prior as seen from each touch, and `numbers` those of the touches.
-    """
-    poses = []
-    for number in numbers:
-        back, search = invert(views[number].T_sensor_first), searches[number]
-        groups = search.propose(views[number].touch, search.options.candidates_together, seen[number])
-        poses += [back @ some for some, _ in groups]
-    return np.concatenate(poses)
 
 
 def _register_in_batches(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:
