@@ -22,7 +22,7 @@ def find_device(camera: str) -> str:
 
     Raises SourceError unless exactly one camera has this part in its name.
     """
-    if camera.isdigit() or "/" in camera or ":" in camera:  # also an address of a stream
+    if camera.isdigit() or set(camera) & set("/:!"):  # also an address or a pipeline of a stream
         return camera
     connected = list_cameras()
     found = [name for name in connected if camera.lower() in name.lower()]

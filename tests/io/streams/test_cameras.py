@@ -27,7 +27,7 @@ def test_each_camera_is_listed_once():
     assert list_cameras() == sorted([*DIGITS, MINI])
 
 
-@pytest.mark.parametrize("camera", ["0", "/dev/video2", "rtsp://robot.local/finger"])
+@pytest.mark.parametrize("camera", ["0", "/dev/video2", "rtsp://robot.local/finger", "v4l2src ! appsink"])
 def test_numbers_devices_and_addresses_stay(camera):
     assert find_device(camera) == camera
 
