@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.circles import CONTRAST, LIKENESS, Circle, compare_colours, find_imprint, find_rim
@@ -98,12 +99,16 @@ def find_presses(
         shown = find_untouched([frame.name for frame in frames], images)
         advance(len(images))
     presses = []
-    with watcher.task("looking for the ball", len(images)) as advance:
-        for number, frame in enumerate(frames):
-            if number in shown.set_aside:
-                presses.append(FoundPress(frame, None, shown.set_aside[number]))
-            elif number not in shown.numbers:
-                presses.append(_judge(frame, images[number], shown.image, gel, ball_px))
+    pressed = [number for number in range(len(frames)) if number not in shown.numbers]
+
+    def judge(number: int) -> FoundPress:
+        if number in shown.set_aside:
+            return FoundPress(frames[number], None, shown.set_aside[number])
+        return _judge(frames[number], images[number], shown.image, gel, ball_px)
+
+    with watcher.task("looking for the ball", len(pressed)) as advance:
+        for press in map_in_threads(judge, pressed):
+            presses.append(press)
             advance(1)
     untouched = np.clip(np.rint(gel.add_dots(shown.image)), 0, 255).astype(np.uint8)
     found = FoundPresses(untouched, tuple(frames[n].name for n in shown.numbers), tuple(presses), shown.drift)

@@ -13,6 +13,7 @@ from pathlib import PurePath
 import numpy as np
 from scipy.ndimage import gaussian_filter, shift, uniform_filter
 
+from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.sensors.calibration.circles import (
     CONTRAST,
@@ -27,6 +28,7 @@ from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
 
 QUIET, STILL = 0.2, 0.5  # limits of an untouched image's change if it looks like a ball or not, share of usual contrast
 MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # least shift, share of change and pixels it explains, and texture, counts
+COMPARED = 8000  # approximate number of pixels in which a small shift is measured
 ALIKE = 0.25  # least gain of correlation by a large shift
 LEAST_FREE = 0.1  # least untouched share of the image for measuring a shift
 TRIED, JUDGES = 6, 10  # number of images tried as the untouched gel, and of images that are compared with them
@@ -94,7 +96,7 @@ def find_untouched(names: Sequence[str], images: Sequence[Image]) -> GelPhotos:
     Raises CalibrationError when too few images show a ball.
     """
     reference = _choose_reference(images)
-    imprints = [find_imprint(compare_colours(image, reference)) for image in images]
+    imprints = list(map_in_threads(lambda image: find_imprint(compare_colours(image, reference)), images))
     numbers = _find_quiet(images, reference, imprints)
     others = [n for n, name in enumerate(names) if is_named_untouched(name) and n not in numbers]
     presses = [n for n in range(len(images)) if n not in others]
@@ -249,8 +251,9 @@ def measure_shift(change: Float32, reference: Float32, touched: Mask) -> tuple[f
     gel, seen = _extract_details(reference), _extract_details(change)
     if free.mean() < LEAST_FREE or np.quantile(np.abs(gel[free]), 0.99) < SEEN:
         return 0.0, 0.0
-    gradients = np.stack([np.gradient(gel, axis=axis)[free].ravel() for axis in (1, 0)], axis=1)
-    values = seen[free].ravel()
+    some = np.s_[:: max(1, int(free.sum()) // COMPARED)]
+    gradients = np.stack([np.gradient(gel, axis=axis)[free][some].ravel() for axis in (1, 0)], axis=1)
+    values = seen[free][some].ravel()
     evenly = np.ones(len(values))
     factors, weight = fit_robustly(gradients, values[:, None], evenly, lambda typical: 4 * 1.48 * typical + 1e-6, 8)
     x, y = factors[:, 0].tolist()
