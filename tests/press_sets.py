@@ -156,7 +156,7 @@ def ball_set(count: int = 12, px: int = 64, seed: int = 0) -> BallSet:
 
 
 def write_calibrated(folder: Path, learned_from: BallSet | None = None, **options: object) -> Path:
-    """Write a calibrated sensor and return its folder; without presses, its estimator is untrained. Needs torch."""
+    """Write a calibrated sensor and return its folder; without presses, its estimator is untrained."""
     from tactile_loc.sensors.calibration.folder import write_calibration
     from tactile_loc.sensors.calibration.outcome import calibrate
     from tactile_loc.sensors.reading.estimator import make_estimator

@@ -14,7 +14,7 @@ BUILT_IN = [
     ("sensor", "digit", "sensors.presets:Digit", "DIGIT, nominal, with a flat gel"),
     ("sensor", "digit-curved", "sensors.presets:CurvedDigit", "DIGIT, nominal, with its curved gel"),
     ("sensor", "file", "sensors.file:FileSensor", "any sensor described by a TOML file"),
-    ("sensor", "calibrated", "sensors.calibrated:CalibratedSensor", "a sensor calibrated from its images", LEARNED),
+    ("sensor", "calibrated", "sensors.calibrated:CalibratedSensor", "a sensor calibrated from its images"),
     (
         "renderer",
         "heightmap",

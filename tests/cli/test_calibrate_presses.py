@@ -12,16 +12,13 @@ import pytest
 import trimesh
 from cli_helpers import Cli, assert_refused, succeed
 from PIL import Image
+from press_sets import MM, ball_set, is_same_camera, magnified, sensor, write_image, write_table
 
-torch = pytest.importorskip("torch")
-
-from press_sets import MM, ball_set, is_same_camera, magnified, sensor, write_image, write_table  # noqa: E402
-
-from tactile_loc.io.sensor_files import write_sensor_file  # noqa: E402
-from tactile_loc.sensors.calibration.folder import read_calibration  # noqa: E402
-from tactile_loc.sensors.optics.lamps import OPTICS  # noqa: E402
-from tactile_loc.sensors.optics.shading import render_background  # noqa: E402
-from tactile_loc.sensors.reading.photometric import PhotometricEstimator  # noqa: E402
+from tactile_loc.io.sensor_files import write_sensor_file
+from tactile_loc.sensors.calibration.folder import read_calibration
+from tactile_loc.sensors.optics.lamps import OPTICS
+from tactile_loc.sensors.optics.shading import render_background
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 
 BALLS = ball_set(16, px=80)
 STEPS = ["-o", "steps=300", "-o", "hidden=16"]

@@ -11,12 +11,9 @@ import pytest
 from cli_helpers import Cli, assert_refused, succeed
 from message_helpers import missing
 from PIL import Image
+from press_sets import BALL_M, MM, ball_set, is_same_camera, write_image
 
-torch = pytest.importorskip("torch")
-
-from press_sets import BALL_M, MM, ball_set, is_same_camera, write_image  # noqa: E402
-
-from tactile_loc.sensors.calibration.folder import read_calibration  # noqa: E402
+from tactile_loc.sensors.calibration.folder import read_calibration
 
 BALLS = ball_set(7, px=80)
 FEW = ["-o", "steps=2", "-o", "hidden=4"]

@@ -36,7 +36,6 @@ def test_the_circle_is_drawn_on_the_photo_and_on_its_change(found):
 
 
 def test_the_reading_has_the_known_and_the_estimated_indentation():
-    pytest.importorskip("torch")
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
     from tactile_loc.sensors.reading.estimator import make_estimator
 

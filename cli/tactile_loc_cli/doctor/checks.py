@@ -231,7 +231,7 @@ LIBRARIES = (
     Dependency(
         "torch",
         ("torch",),
-        "the encoder moco, and sensors that read images",
+        "the encoder moco, the estimator cnn, and curved gels",
         "pip install 'tactile-loc[learned]'",
         trial="torch",
     ),

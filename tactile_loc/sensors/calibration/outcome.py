@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.runtime.errors import CalibrationError, SensorError
+from tactile_loc.core.runtime.errors import CalibrationError, MissingLibraryError, SensorError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.sensor_files import read_sensor_file
@@ -31,7 +31,7 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 HELD_OUT = 0.2  # share of the presses on which the errors are measured
 FEWEST = 5  # fewest presses for a calibration: four for training and one held out
-STAGE_VERSION, RECORD = 5, "held-out"
+STAGE_VERSION, RECORD = 6, "held-out"
 MOST_CHECKED = 12  # largest number of presses for which the sensor's checks are measured
 LOOKED_AT = 60  # largest number of presses for which the health is measured
 QUANTITIES = {
@@ -211,8 +211,12 @@ def calibrate_folder(
     camera = sensor if isinstance(sensor, SensorGeometry) else read_sensor_file(sensor)
     presses = read_presses(folder, camera, reading.median_background, reading.size_px or choose_size_px(camera))
     if reading.curved:
-        from tactile_loc.sensors.reading.relief import learn_relief
-
+        try:
+            from tactile_loc.sensors.reading.relief import learn_relief
+        except ImportError as error:
+            raise MissingLibraryError(
+                f"curved gels need {error.name}, which is not installed: pip install 'tactile-loc[learned]'"
+            ) from error
         relief_m = learn_relief(presses, recipe.seed, watcher)
         presses = replace(presses, geometry=replace(presses.geometry, relief_m=relief_m))
     presses = presses.measure_gel(watcher)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -291,6 +292,10 @@ class CnnEstimator(GelEstimator):
         """
         samples = Samples.of(presses, self._fixed, progress)
         CnnTrainer(self.options, self._network, samples, checkpoints).run(progress)
+
+    def list_weights(self) -> Mapping[str, NDArray[np.generic]]:
+        """Return the network's weights by name."""
+        return {name: tensor.numpy() for name, tensor in self._network.state_dict().items()}
 
     def read(self, image: Image) -> tuple[Float32, None]:
         """Return the contact's indentation (H, W), metres, and None, because slopes are not estimated."""

@@ -10,9 +10,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.errors import CalibrationError, MissingLibraryError, WeightsError, advise_choice
@@ -22,9 +25,6 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.labels import Float32, Image, LabelledPresses
 from tactile_loc.slots.encoder import Checkpoints
 from tactile_loc.slots.options import validate_options
-
-if TYPE_CHECKING:
-    from torch import nn
 
 _HERE = "tactile_loc.sensors.reading"
 ESTIMATORS = {"photometric": f"{_HERE}.photometric:PhotometricEstimator", "cnn": f"{_HERE}.cnn:CnnEstimator"}
@@ -52,7 +52,6 @@ class GelEstimator(ABC):
     """
 
     name: ClassVar[str]
-    _network: nn.Module
     sees_skirt: ClassVar[bool] = True
 
     class Options(ComponentOptions):
@@ -81,36 +80,39 @@ class GelEstimator(ABC):
         """Return the indentation (H, W), metres. It is about 0 where the gel is untouched."""
         return self.read(image)[0]
 
-    def save(self, path: Path) -> None:
-        """Write the trained network to a safetensors file."""
-        from safetensors.torch import save_file
+    @abstractmethod
+    def list_weights(self) -> Mapping[str, NDArray[np.generic]]:
+        """Return what was learned, by name, as views: a change of their values changes the estimator."""
 
-        tensors = self._network.state_dict().items()
-        save_file({name: tensor.detach().cpu().contiguous() for name, tensor in tensors}, path)
+    def save(self, path: Path) -> None:
+        """Write what was learned to a safetensors file."""
+        save_file({name: np.ascontiguousarray(one) for name, one in self.list_weights().items()}, path)
 
     def load(self, path: Path) -> None:
-        """Read the trained network from a safetensors file.
+        """Read what was learned from a safetensors file.
 
         Raises WeightsError when the file is damaged or belongs to another estimator.
         """
-        from safetensors import SafetensorError
-        from safetensors.torch import load_file
-
+        mine = self.list_weights()
         try:
-            self._network.load_state_dict(load_file(path))
-        except (SafetensorError, RuntimeError, OSError) as error:
+            stored = load_file(path)
+            if {name: one.shape for name, one in stored.items()} != {name: one.shape for name, one in mine.items()}:
+                raise ValueError("its tensors have other names or shapes")
+        except (SafetensorError, ValueError, OSError) as error:
             reason = str(error).splitlines()[0]
             raise WeightsError(
                 f"{path} cannot be read as the weights of a {self.name} estimator ({reason}); calibrate the sensor "
                 "again"
             ) from error
+        for name, one in mine.items():
+            np.copyto(one, stored[name])
 
 
 def make_estimator(name: str, options: Mapping[str, Any], geometry: SensorGeometry, background: Image) -> GelEstimator:
     """Return the untrained estimator named `name` of a sensor.
 
-    Raises CalibrationError when the name is unknown, MissingLibraryError when torch is not installed, and ConfigError
-    for unknown or ill-typed options.
+    Raises CalibrationError when the name is unknown, MissingLibraryError when its library is not installed, and
+    ConfigError for unknown or ill-typed options.
     """
     if name not in ESTIMATORS:
         raise CalibrationError(f"there is no estimator {name!r}; {advise_choice(name, ESTIMATORS)}")
@@ -119,7 +121,7 @@ def make_estimator(name: str, options: Mapping[str, Any], geometry: SensorGeomet
         kind: type[GelEstimator] = getattr(importlib.import_module(module), attribute)
     except ImportError as error:
         raise MissingLibraryError(
-            f"a calibrated sensor needs {error.name}, which is not installed: pip install 'tactile-loc[learned]'"
+            f"the estimator {name!r} needs {error.name}, which is not installed: pip install 'tactile-loc[learned]'"
         ) from error
     return kind(geometry, background, validate_options(kind.Options, options, f"the estimator {name!r}"))
 

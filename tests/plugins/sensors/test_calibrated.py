@@ -9,10 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from message_helpers import naming
-
-torch = pytest.importorskip("torch")
-
-from press_sets import (  # noqa: E402
+from press_sets import (
     BALL_M,
     ball_indentation,
     ball_set,
@@ -23,12 +20,12 @@ from press_sets import (  # noqa: E402
     write_image,
 )
 
-from tactile_loc.core.runtime.errors import NoContactError, TouchError  # noqa: E402
-from tactile_loc.core.sensing.touch import ContactShape, Touch  # noqa: E402
-from tactile_loc.io.touches import read_touch  # noqa: E402
-from tactile_loc.plugins.sensors.calibrated import CalibratedSensor  # noqa: E402
-from tactile_loc.sensors.reading.reading import SKIRT  # noqa: E402
-from tactile_loc.slots.registry import registry  # noqa: E402
+from tactile_loc.core.runtime.errors import NoContactError, TouchError
+from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.io.touches import read_touch
+from tactile_loc.plugins.sensors.calibrated import CalibratedSensor
+from tactile_loc.sensors.reading.reading import SKIRT
+from tactile_loc.slots.registry import registry
 
 BALLS = ball_set(12)
 PRESS_M = 7e-4

@@ -8,18 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kill_steps import killed_at_every_step
 from message_helpers import missing, naming
+from PIL import Image
+from press_sets import TINY, ball_set, sensor, write_image
 
-torch = pytest.importorskip("torch")
-
-from kill_steps import killed_at_every_step  # noqa: E402
-from PIL import Image  # noqa: E402
-from press_sets import TINY, ball_set, sensor, write_image  # noqa: E402
-
-from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, OutputError, TouchError, WeightsError  # noqa: E402
-from tactile_loc.io.sensor_files import CALIBRATION, write_sensor_file  # noqa: E402
-from tactile_loc.sensors.calibration import folder as module  # noqa: E402
-from tactile_loc.sensors.calibration.folder import (  # noqa: E402
+from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, OutputError, TouchError, WeightsError
+from tactile_loc.io.sensor_files import CALIBRATION, write_sensor_file
+from tactile_loc.sensors.calibration import folder as module
+from tactile_loc.sensors.calibration.folder import (
     BACKGROUND,
     OURS,
     PICTURE,
@@ -30,9 +27,9 @@ from tactile_loc.sensors.calibration.folder import (  # noqa: E402
     require_replaceable,
     write_calibration,
 )
-from tactile_loc.sensors.reading.estimator import GelEstimator, make_estimator  # noqa: E402
-from tactile_loc.sensors.reading.photometric import PhotometricEstimator  # noqa: E402
-from tactile_loc.store import files  # noqa: E402
+from tactile_loc.sensors.reading.estimator import GelEstimator, make_estimator
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
+from tactile_loc.store import files
 
 BALLS = ball_set(1)
 MASK = np.tri(64, dtype=bool)

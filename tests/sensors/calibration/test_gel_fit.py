@@ -104,7 +104,6 @@ SET_MM_PX = 0.059259
 @pytest.mark.slow
 def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fit, monkeypatch):
     """GelSlim: balls calibrate; another ball and a flat prism are read at their stated presses, constant included."""
-    pytest.importorskip("torch")
     thicknesses_m, pixels = shipped_gel_fit
     monkeypatch.setattr(gel_fit, "THICKNESSES_M", thicknesses_m)
     monkeypatch.setattr(gel_fit, "PIXELS", pixels)

@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 import trimesh
 from message_helpers import naming
+from press_sets import TINY, ball_set, label_untouched, write_table
 
-torch = pytest.importorskip("torch")
-
-from press_sets import TINY, ball_set, label_untouched, write_table  # noqa: E402
-
-from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, SensorError  # noqa: E402
-from tactile_loc.core.runtime.progress import Progress  # noqa: E402
-from tactile_loc.sensors.calibration.folder import read_calibration  # noqa: E402
-from tactile_loc.sensors.calibration.labels import Chosen, PressLabel  # noqa: E402
-from tactile_loc.sensors.calibration.outcome import (  # noqa: E402
+from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, SensorError
+from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.sensors.calibration.folder import read_calibration
+from tactile_loc.sensors.calibration.labels import Chosen, PressLabel
+from tactile_loc.sensors.calibration.outcome import (
     average_errors,
     calibrate,
     calibrate_folder,
@@ -27,11 +24,11 @@ from tactile_loc.sensors.calibration.outcome import (  # noqa: E402
     measure_press,
     split,
 )
-from tactile_loc.sensors.calibration.presses import read_presses  # noqa: E402
-from tactile_loc.sensors.reading import estimator  # noqa: E402
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator  # noqa: E402
-from tactile_loc.sensors.reading.photometric import PhotometricEstimator  # noqa: E402
-from tactile_loc.store.store import StageStore  # noqa: E402
+from tactile_loc.sensors.calibration.presses import read_presses
+from tactile_loc.sensors.reading import estimator
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
+from tactile_loc.store.store import StageStore
 
 BALLS, FIVE = ball_set(10), ball_set(5)
 GEOMETRY = BALLS.geometry
@@ -58,6 +55,9 @@ class Oracle(GelEstimator):
     def fit(self, presses, progress, checkpoints):
         assert isinstance(presses, Chosen)
         type(self).seen = tuple(presses.numbers)
+
+    def list_weights(self):
+        return {}
 
     def read(self, image):
         number = next(i for i, other in enumerate(BALLS.images) if np.array_equal(other, image))

@@ -205,7 +205,6 @@ def test_labelled_presses_are_read_without_their_dots(dotted):
 
 @pytest.mark.slow
 def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
-    pytest.importorskip("torch")
     folder, balls, places = dotted
     presses = read_presses(folder, balls.geometry)
     recipe = EstimatorRecipe("photometric", TINY)
