@@ -86,7 +86,7 @@ class GelEstimator(ABC):
 
     def save(self, path: Path) -> None:
         """Write what was learned to a safetensors file."""
-        save_file({name: np.ascontiguousarray(one) for name, one in self.list_weights().items()}, path)
+        save_file({name: np.asarray(one, order="C") for name, one in self.list_weights().items()}, path)
 
     def load(self, path: Path) -> None:
         """Read what was learned from a safetensors file.
