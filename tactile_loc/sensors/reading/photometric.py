@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field
 from scipy.ndimage import gaussian_filter
 
+from tactile_loc.core.runtime.compiled import use_one_blas_thread
 from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.runtime.progress import Progress
@@ -141,7 +142,7 @@ class PhotometricEstimator(GelEstimator):
             chosen = rng.integers(len(features), size=self.options.pixels)
             return features[chosen], angles[chosen]
 
-        with progress.task("learning slope from colour", steps) as advance:
+        with use_one_blas_thread(), progress.task("learning slope from colour", steps) as advance:
             for step, off_rad in enumerate(self._network.train(draw, rates)):
                 if step % REPORT_EVERY == 0:
                     progress.note(f"mean error of the angle {math.degrees(float(np.abs(off_rad).mean())):.2f}°")
