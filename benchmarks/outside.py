@@ -32,7 +32,6 @@ from tactile_loc.core.sensing.noise import Float32, GelPixels, TouchNoise
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.meshes.mesh_files import simplify_mesh
 from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.simulate.contact_poses import draw_contact_poses
 from tactile_loc.simulate.touch_simulation import PressNoise
@@ -109,12 +108,23 @@ def decimate(mesh: TriangleMesh, rms_m: float, rng: np.random.Generator) -> Tria
         if many - few < 2:
             break
         count = (few + many) // 2
-        less = simplify_mesh(whole, count)
+        less = _simplify(whole, count)
         if len(less.faces) > 3 and _measure_rms_distance(points, less) <= rms_m:
             many, best = count, less
         else:
             few = count
     return best
+
+
+def _simplify(mesh: TriangleMesh, faces: int) -> TriangleMesh:
+    import open3d as o3d
+
+    corners, triangles = (
+        o3d.utility.Vector3dVector(mesh.vertices_m),
+        o3d.utility.Vector3iVector(mesh.faces.astype(np.int32)),
+    )
+    fewer = o3d.geometry.TriangleMesh(corners, triangles).simplify_quadric_decimation(faces)
+    return TriangleMesh(np.asarray(fewer.vertices, float), np.asarray(fewer.triangles, np.int64))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -45,11 +45,15 @@ def find_unsafe(source: str) -> list[str]:
     return [*sorted(imported & UNSAFE), *found]
 
 
+# The poses of YCB-Slide are pickled. Their reader admits arrays, texts and numbers only (see test_ycb_slide.py).
+ADMITTED = {"ycb_slide.py": ["pickle"]}
+
+
 def test_no_source_reads_a_pickle():
     paths = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py") if "tests" not in path.parts]
     assert len(paths) > 400
     found = {path: unsafe for path in paths if (unsafe := find_unsafe(path.read_text(encoding="utf-8")))}
-    assert {path.name: unsafe for path, unsafe in found.items()} == {}
+    assert {path.name: unsafe for path, unsafe in found.items()} == ADMITTED
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from tactile_loc.slots.registry import COMMAND, CommandSpec, ComponentKind, hook
 # name, function or application, summary
 COMMANDS = (
     ("run", "commands.run:run", "Locate an object from one touch or several."),
-    ("build", "commands.build:build", "Build an object's model ahead of time."),
+    ("build", "commands.build:build", "Build an object's model ahead of time, and compile what its touches need."),
     ("simulate", "commands.simulate:simulate", "Simulate touches with known poses."),
     ("evaluate", "evaluate.command:evaluate", "Measure how often `run` is right."),
     ("paper", "evaluate.paper:paper", "Measure the errors that the paper reports."),
@@ -22,7 +22,7 @@ COMMANDS = (
     ("objects", "commands.plugins:objects", "List the demo objects."),
     ("plugins", "commands.plugins:plugins", "List components and their options, or check one."),
     ("new-plugin", "scaffold.command:new_plugin", "Write a package for a new component."),
-    ("doctor", "doctor.command:doctor", "Check the installation."),
+    ("doctor", "doctor.command:doctor", "Check the installation, or a calibrated sensor."),
     ("store", "commands.store:application", "List, measure or prune the built models."),
 )
 # Commands of packages in plugins_contrib, which are installed separately.

@@ -179,7 +179,7 @@ def test_result_files_are_complete_and_written_under_a_lock(result):
     assert not is_locked(result["folder"])
     with Image.open(result["folder"] / "result.png") as picture:
         picture.load()
-        assert picture.width > 800
+        assert picture.width > 600
     assert sorted(path.name for path in result["folder"].iterdir()) == ["result.json", "result.npz", "result.png"]
 
 
