@@ -172,6 +172,9 @@ def furnished(tmp_path_factory, store) -> Path:
         np.savez(press / "label.npz", center=circle[:2], radius=circle[2])
     write_image(folder / "untouched-today.png", balls.background)
     write_image(folder / "photo.png", balls.images[0])
+    (folder / "photos").mkdir()
+    for number, image in enumerate(balls.images):
+        write_image(folder / "photos" / f"{number}.png", image)
     (folder / "folder").mkdir()
     write_image(folder / "folder" / "photo.png", balls.images[1])
     return folder
@@ -226,7 +229,8 @@ def run(words: list[str]) -> None:
         cheaper = [*cheaper, "--object", "pin", "--object", "head"]  # of the six
     done = CliRunner().invoke(app, [*words[1:], *cheaper], prog_name="tactile-loc")
     uncertain = done.exit_code == 3 and "--require" in words  # that is no fault of the page
-    assert done.exit_code == 0 or uncertain, (words, done.stderr)
+    faulty = done.exit_code == 1 and words[1:3] == ["doctor", "--sensor"]  # a sensor calibrated in a few steps
+    assert done.exit_code == 0 or uncertain or faulty, (words, done.stderr)
 
 
 @pytest.mark.slow

@@ -117,7 +117,8 @@ class Localizer:
                 one.source.prepare(press_m)
                 advance(1)
         taken = [place_touches(one.simulate(TOUCHES, self.config.seed, noise="mild")) for one in self._known]
-        examples = [example for touches in taken for example in list_examples(touches)]
+        masks = not self.encoder.capabilities.needs_training  # trained encoders compare depths
+        examples = [example for touches in taken for example in list_examples(touches, masks)]
         examples.append(([touches[0] for touches in taken], {}))
         with self.progress.task("prepare: examples", len(examples)) as advance:
             for given, asked in examples:

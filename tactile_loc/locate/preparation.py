@@ -35,13 +35,18 @@ def place_touches(touches: Sequence[Touch]) -> list[Touch]:
     return [replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))) for touch in touches]
 
 
-def list_examples(touches: Sequence[Touch]) -> Iterator[tuple[list[Touch], dict[str, Any]]]:
-    """Yield touches to locate together, and further arguments: all kinds of input that need code of their own."""
+def list_examples(touches: Sequence[Touch], masks: bool) -> Iterator[tuple[list[Touch], dict[str, Any]]]:
+    """Yield touches to locate together, and further arguments: all kinds of input that need code of their own.
+
+    Contact masks are among them if `masks` is set.
+    """
     first, *others = touches
     for count in range(1, len(touches) + 1):
         yield list(touches[:count]), {}
     yield [first, *others[:-1], replace(others[-1], T_base_sensor=np.asarray(others[-1].T_base_sensor) @ AWAY)], {}
     yield [first, others[0]], {"prior": GaussianPrior(np.asarray(first.T_sensor_object), STD_M, STD_RAD)}
+    if not masks:
+        return
     with suppress(TouchError):  # masks are located with a rigid gel only
         mask = Touch.from_mask(first.contact_shape.contact, sensor=first.geometry, T_base_sensor=first.T_base_sensor)
         yield [mask, others[0]], {}

@@ -135,4 +135,4 @@ def test_a_trial_runs_all_methods_and_repeats_itself(experiment):
     assert by_method["known"].success
     assert by_method["first touch"].touches == 2
     assert by_method["known"].touches == by_method["spiral"].touches == by_method["nominal"].touches == 0
-    assert by_method["verdict"].verdicts[-1] == "certain" or not by_method["verdict"].success
+    assert by_method["verdict"].verdicts[-1] in ("certain", "ambiguous") or not by_method["verdict"].success

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from io import BytesIO
+from itertools import count
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,25 +84,34 @@ def tracked(localizer) -> tuple[ImageLocator, np.ndarray]:
     return ImageLocator(localizer, touch.press_depth_m, track=True), touch.contact_shape.depth_m
 
 
+def follow(locator: ImageLocator, frame: Callable[[int], Any], T: np.ndarray | None, begin_ns: int = 0) -> Any:
+    """Locate frames until a search in another thread has found the pose. Return the result, and the last stamp."""
+    end_s = time.monotonic() + 120
+    for stamp_ns in count(begin_ns, NS // 10):
+        found = locator.locate(frame(stamp_ns)) if T is None else locator.locate(frame(stamp_ns), T)
+        assert not found.slipped
+        if found.located.T_sensor_object is not None:
+            return found.located, stamp_ns
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+    raise AssertionError
+
+
 def test_a_track_predicts_the_pose_without_contact(tracked, make_image, untouched_m):
     locator, depth_m = tracked
-    for k in range(3):
-        found = locator.locate(make_image(depth_m, stamp_ns=k * NS // 10), np.eye(4))
-        assert not found.slipped
-    assert found.located.T_sensor_object is not None
-    predicted = locator.locate(make_image(untouched_m, stamp_ns=NS), np.eye(4)).located
+    found, last_ns = follow(locator, lambda stamp_ns: make_image(depth_m, stamp_ns=stamp_ns), np.eye(4))
+    predicted = locator.locate(make_image(untouched_m, stamp_ns=last_ns + 8 * NS // 10), np.eye(4)).located
     assert predicted.verdict is Verdict.NO_CONTACT
     assert predicted.says
-    np.testing.assert_allclose(predicted.T_sensor_object, found.located.T_sensor_object, atol=1e-4)
+    np.testing.assert_allclose(predicted.T_sensor_object, found.T_sensor_object, atol=1e-4)
 
 
 def test_a_track_without_sensor_poses_assumes_a_sensor_at_rest(tracked, make_image):
     locator, depth_m = tracked
-    rested = [locator.locate(make_image(depth_m, stamp_ns=k * NS // 10)).located for k in range(4)][-1]
-    assert rested.T_sensor_object is not None
+    rested, last_ns = follow(locator, lambda stamp_ns: make_image(depth_m, stamp_ns=stamp_ns), None)
     moved = np.eye(4)
     moved[0, 3] = 0.5
-    again = locator.locate(make_image(depth_m, stamp_ns=NS), moved).located
+    again = locator.locate(make_image(depth_m, stamp_ns=last_ns + 7 * NS // 10), moved).located
     assert again.T_sensor_object is None or abs(again.T_sensor_object[0, 3] - rested.T_sensor_object[0, 3]) > 0.1
 
 
@@ -108,10 +121,9 @@ def test_a_reset_clock_begins_another_track(tracked, make_image):
     def locate(stamp_ns: int) -> LocatedFrame:
         return locator.locate(make_image(depth_m, stamp_ns=stamp_ns), np.eye(4)).located
 
-    track = [locate(100 * NS + k * NS // 10) for k in range(4)]
-    assert track[0].T_sensor_object is None  # the search goes on
-    assert track[-1].T_sensor_object is not None
-    late = locate(100 * NS)  # out of order by 0.3 s
+    assert locate(100 * NS).T_sensor_object is None  # the search goes on
+    _, last_ns = follow(locator, lambda stamp_ns: make_image(depth_m, stamp_ns=stamp_ns), np.eye(4), 101 * NS)
+    late = locate(last_ns - 3 * NS // 10)
     assert late.T_sensor_object is not None
     assert locate(5 * NS).T_sensor_object is None
     assert locate(5 * NS).verdict is not None
