@@ -14,7 +14,7 @@ from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.folder import Calibration
-from tactile_loc.sensors.reading.passport import Examination, Finding
+from tactile_loc.sensors.reading.passport import Examination, SensorFinding
 from tactile_loc.sensors.reading.reading import find_contact_shape, find_gel_surface, recover_indentation
 from tactile_loc.sensors.reading.surface import differentiate, find_indentation
 from tactile_loc.store.store import StageStore
@@ -30,13 +30,13 @@ class Damage:
     `error_m` is inf and `touch` is None if no contact is read. `finding` is None for the sensor without faults.
     """
 
-    finding: Finding | None
+    finding: SensorFinding | None
     error_m: float
     touch: Touch | None
 
 
 def measure_damage(
-    sensor: Calibration, seen: Examination, findings: Sequence[Finding], store: StageStore | None = None
+    sensor: Calibration, seen: Examination, findings: Sequence[SensorFinding], store: StageStore | None = None
 ) -> list[Damage]:
     """Return the pose errors of simulated touches: without faults, and with each fault that changes what is read."""
     localizer = Localizer.create(PART, sensor={"name": "calibrated", "path": str(sensor.folder)}, store=store)
@@ -46,7 +46,11 @@ def measure_damage(
 
 
 def _locate(
-    localizer: Localizer, sensor: Calibration, touches: Sequence[Touch], seen: Examination, finding: Finding | None
+    localizer: Localizer,
+    sensor: Calibration,
+    touches: Sequence[Touch],
+    seen: Examination,
+    finding: SensorFinding | None,
 ) -> Damage:
     errors, read = [], []
     for touch in touches:
@@ -63,7 +67,7 @@ def _locate(
     return Damage(finding, float(np.median(errors)), read[0] if read else None)
 
 
-def _read_shape(sensor: Calibration, touch: Touch, seen: Examination, finding: Finding | None) -> ContactShape:
+def _read_shape(sensor: Calibration, touch: Touch, seen: Examination, finding: SensorFinding | None) -> ContactShape:
     """Return the contact shape that is read from a touch's slopes after a fault has changed them."""
     geometry, shape = sensor.geometry, touch.contact_shape
     displaced = np.where(shape.contact, shape.press_depth_m - shape.depth_m, 0.0)

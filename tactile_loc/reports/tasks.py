@@ -21,7 +21,7 @@ from tactile_loc.planning.identification_files import NONE_OF_THESE, describe_id
 from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.reports.pictures import draw_shape, encode_gallery, encode_photo
-from tactile_loc.sensors.reading.passport import Examination, Finding
+from tactile_loc.sensors.reading.passport import Examination, SensorFinding
 
 CHANGES = 8  # factor by which small changes of colour are shown
 POSE = ("x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
@@ -116,7 +116,9 @@ def make_folder_page(found: Sequence[LocatedFile], shown: Mapping[str, Touch], a
     return _make_page(title, f"{len(found)} touches of {about}", sections)
 
 
-def make_passport_page(sensor: str, seen: Examination, findings: Sequence[Finding], damage: Sequence[Damage]) -> Page:
+def make_passport_page(
+    sensor: str, seen: Examination, findings: Sequence[SensorFinding], damage: Sequence[Damage]
+) -> Page:
     """Return the page of a sensor's checks. Its title counts the faults."""
     faults, whole = [one for one in findings if one.is_fault], damage[0]
     errors = {one.finding.check.name: _name_error(one) for one in damage if one.finding is not None}
@@ -149,10 +151,10 @@ def _name_error(damage: Damage) -> str:
     return f"{format_mm(damage.error_m)} mm" if np.isfinite(damage.error_m) else "no pose"
 
 
-def _list_check_cells(one: Finding, seen: Examination, errors: Mapping[str, str]) -> list[str]:
+def _list_check_cells(one: SensorFinding, seen: Examination, errors: Mapping[str, str]) -> list[str]:
     scale, unit = (1e3, "mm") if one.check.unit == "m" else (1.0, one.check.unit)
     known = np.isfinite(one.value)
-    value, limit = (f"{scale * v:.3g} {unit}".strip() for v in (one.value, one.find_limit(seen)))
+    value, limit = (f"{scale * v:.3g} {unit}".strip() for v in (one.value, one.check.find_limit(seen)))
     state = (one.says or "ok") if known else "not judged"
     advice = one.check.advice if one.is_fault else ""
     return [one.check.name, state, value if known else "", limit, errors.get(one.check.name, ""), advice]

@@ -13,7 +13,7 @@ from tactile_loc.reports.report import write_page
 from tactile_loc.reports.tasks import make_passport_page
 from tactile_loc.sensors.calibration.folder import read_calibration
 from tactile_loc.sensors.calibration.layouts import SHEET
-from tactile_loc.sensors.reading.passport import Examination, Finding, examine_photos
+from tactile_loc.sensors.reading.passport import Examination, SensorFinding, examine_photos
 from tactile_loc.store.files import list_files, require_writable
 from tactile_loc.store.store import StageStore
 from tactile_loc_cli import failures
@@ -55,9 +55,9 @@ def _list_photos(paths: Sequence[Path]) -> list[Path]:
     return [path for part in found for path in part if path.name != SHEET]
 
 
-def _list_cells(one: Finding, seen: Examination) -> list[str]:
+def _list_cells(one: SensorFinding, seen: Examination) -> list[str]:
     scale, unit = (1e3, "mm") if one.check.unit == "m" else (1.0, one.check.unit)
     if one.value != one.value:
         return ["-", one.check.name, "not judged"]
-    value, limit = (f"{scale * number:.3g}" for number in (one.value, one.find_limit(seen)))
+    value, limit = (f"{scale * number:.3g}" for number in (one.value, one.check.find_limit(seen)))
     return ["FAULT" if one.is_fault else "ok", one.check.name, f"{value} {unit}".strip() + f", limit {limit}"]

@@ -146,19 +146,38 @@ class Examination:
         ]
         return Reading(press_m, bulge_m, float(x.std()) / max(float(y.std()), 1e-9), sum(falls) / 2)
 
-    def measure_turns(self) -> list[float]:
-        """Return the mean difference, counts, of today's gel from that of the calibration: unchanged, then by TURNS."""
+    @cached_property
+    def turned(self) -> list[float]:
+        """The mean difference, counts, of today's gel from that of the calibration: unchanged, then by TURNS."""
         made = [self.before, *(turn.change(self.before).astype(np.float32) for turn in TURNS)]
         return [float(np.abs(compare_colours(self.today, one)).mean()) for one in made]
 
     def find_turn(self) -> Turn:
         """Return the turn that explains today's gel best."""
-        return TURNS[int(np.argmin(self.measure_turns()[1:]))]
+        return TURNS[int(np.argmin(self.turned[1:]))]
+
+    @cached_property
+    def mixing(self) -> Slopes:
+        """The linear map (2, 2) from right slopes to those that are read after the turn that explains the gel best."""
+        turn = self.find_turn()
+        right, read = [], []
+        for photo in self.clear:
+            undone = turn.change(photo).astype(np.float32)  # swapping twice restores the image
+            indentation, known = self.read(undone)
+            deep = indentation > DEEP * measure_press_m(indentation, self.estimator.geometry)
+            right.append(known[deep])
+            read.append(self.read(photo)[1][deep])
+        return np.asarray(np.linalg.lstsq(np.concatenate(right), np.concatenate(read), rcond=None)[0])
+
+    @cached_property
+    def read_today(self) -> tuple[Float32, Slopes]:
+        """The indentation (H, W), metres, and the slopes (H, W, 2) that are read in today's untouched gel."""
+        return self.read(self.today)
 
 
 def _measure_order(seen: Examination) -> float:
     """Return how much better a turn explains today's gel than no turn; 0 if no turn explains it."""
-    unchanged, *turned = seen.measure_turns()
+    unchanged, *turned = seen.turned
     return unchanged / max(min(turned), 1.0) if min(turned) < EXPLAINED else 0.0
 
 
@@ -191,7 +210,7 @@ def _measure_touch(seen: Examination) -> float:
     small = imprint.circle.radius_px < SMALL * min(seen.before.shape[:2])
     if imprint.likeness < LIKE_BALL or imprint.contrast < CLEAR or not small:
         return 0.0
-    return measure_press_m(-seen.read(seen.today)[0], seen.estimator.geometry)
+    return measure_press_m(-seen.read_today[0], seen.estimator.geometry)
 
 
 def _measure_texture(seen: Examination) -> float:
@@ -201,7 +220,7 @@ def _measure_texture(seen: Examination) -> float:
 
 
 def _measure_offset(seen: Examination) -> float:
-    return max(measure_press_m(sign * seen.read(seen.today)[0], seen.estimator.geometry) for sign in (-1, 1))
+    return max(measure_press_m(sign * seen.read_today[0], seen.estimator.geometry) for sign in (-1, 1))
 
 
 def _measure_trend(seen: Examination) -> float:
@@ -233,7 +252,7 @@ def _measure_loss(seen: Examination) -> float:
 
 
 @dataclass(frozen=True)
-class Check:
+class SensorCheck:
     """A check: its `name`, a statistic in units of `unit`, and the `limit` above which the sensor has the fault.
 
     `says` states the fault, and `advice` what to do. If `explains` is true, the checks below are not judged after this
@@ -249,24 +268,14 @@ class Check:
     explains: bool = False
     distort: Callable[[Examination, Slopes], Slopes] | None = None
 
+    def find_limit(self, seen: Examination) -> float:
+        """Return the limit for this sensor: larger if the value was large at the calibration."""
+        return max(self.limit, MARGIN * seen.usual.get(self.name, 0.0))
+
 
 def _turn_slopes(seen: Examination, slopes: Slopes) -> Slopes:
     turn = seen.find_turn()
-    return _mix_slopes(seen, slopes) if turn.of_colours else np.asarray(turn.change(slopes), np.float64)
-
-
-def _mix_slopes(seen: Examination, slopes: Slopes) -> Slopes:
-    """Return the slopes that are read after colours were mixed up, by a linear map from right to read slopes."""
-    turn = seen.find_turn()
-    right, read = [], []
-    for photo in seen.clear:
-        undone = turn.change(photo).astype(np.float32)  # swapping twice restores the image
-        indentation, known = seen.read(undone)
-        deep = indentation > DEEP * measure_press_m(indentation, seen.estimator.geometry)
-        right.append(known[deep])
-        read.append(seen.read(photo)[1][deep])
-    factors = np.linalg.lstsq(np.concatenate(right), np.concatenate(read), rcond=None)[0]
-    return np.asarray(slopes @ factors)
+    return np.asarray(slopes @ seen.mixing if turn.of_colours else turn.change(slopes), np.float64)
 
 
 def _stretch_slopes(seen: Examination, slopes: Slopes) -> Slopes:
@@ -278,7 +287,7 @@ def _stretch_slopes(seen: Examination, slopes: Slopes) -> Slopes:
 
 def _add_gel(seen: Examination, slopes: Slopes) -> Slopes:
     """Return the slopes of a touch, added to those that are read in today's untouched gel."""
-    return np.asarray(slopes + seen.read(seen.today)[1])
+    return np.asarray(slopes + seen.read_today[1])
 
 
 def _add_trend(seen: Examination, slopes: Slopes) -> Slopes:
@@ -292,36 +301,38 @@ def _shrink_slopes(seen: Examination, slopes: Slopes) -> Slopes:
 
 
 CHECKS = (
-    Check("order of colours and pixels", _measure_order, 1.5, "times", "{turn}", "change the camera's settings back",
-          True, _turn_slopes),
-    Check("same sensor", lambda seen: seen.measure_turns()[0], 12.0, "counts",
-          "the photos are of another sensor, or the light is quite different", "calibrate this sensor", True, _add_gel),
-    Check("lamps", _measure_lamp, 0.35, "", "a lamp is dark", "repair the lamp, or calibrate again",
-          True, _add_gel),
-    Check("sign of the imprints", _measure_bulge, 0.4, "times", "presses are read as bulges",
-          "check the order of the colours, and whether the image is mirrored", True),
-    Check("equal scales", lambda seen: abs(_measure_aspect(seen)), 0.06, "",
-          "a ball's imprint is {percent:.0f} % {longer}, so x and y have different scales",
-          "correct the scales in sensor.toml, or the camera's image size", True, _stretch_slopes),
-    Check("zero image", _measure_touch, 5e-5, "m", "the zero image shows a touch",
-          "give a new photo of the untouched gel as the zero image", True, _add_gel),
-    Check("surface of the gel", _measure_texture, 8.0, "counts", "the gel is worn: scratches or stains are new",
-          "replace the gel and calibrate again", False, _add_gel),
-    Check("offset without contact", _measure_offset, 6e-5, "m", "an indentation is read where nothing touches",
-          "give a new photo of the untouched gel as the zero image", False, _add_gel),
-    Check("drift", _measure_trend, 6.0, "counts", "the light changes from photo to photo",
-          "let the lamps warm up, and fix the camera's exposure", False, _add_trend),
-    Check("dead pixels", _count_dead, 4.0, "pixels", "single pixels are stuck", "mark them in the sensor's mask"),
-    Check("contrast of the gel", _measure_loss, 0.2, "", "the gel is worn: slopes are read {percent:.0f} % too small",
-          "replace the gel and calibrate again", False, _shrink_slopes),
+    SensorCheck("order of colours and pixels", _measure_order, 1.5, "times", "{turn}",
+                "change the camera's settings back", True, _turn_slopes),
+    SensorCheck("same sensor", lambda seen: seen.turned[0], 12.0, "counts",
+                "the photos are of another sensor, or the light is quite different", "calibrate this sensor",
+                True, _add_gel),
+    SensorCheck("lamps", _measure_lamp, 0.35, "", "a lamp is dark", "repair the lamp, or calibrate again",
+                True, _add_gel),
+    SensorCheck("sign of the imprints", _measure_bulge, 0.4, "times", "presses are read as bulges",
+                "check the order of the colours, and whether the image is mirrored", True),
+    SensorCheck("equal scales", lambda seen: abs(_measure_aspect(seen)), 0.06, "",
+                "a ball's imprint is {percent:.0f} % {longer}, so x and y have different scales",
+                "correct the scales in sensor.toml, or the camera's image size", True, _stretch_slopes),
+    SensorCheck("zero image", _measure_touch, 5e-5, "m", "the zero image shows a touch",
+                "give a new photo of the untouched gel as the zero image", True, _add_gel),
+    SensorCheck("surface of the gel", _measure_texture, 8.0, "counts", "the gel is worn: scratches or stains are new",
+                "replace the gel and calibrate again", False, _add_gel),
+    SensorCheck("offset without contact", _measure_offset, 6e-5, "m", "an indentation is read where nothing touches",
+                "give a new photo of the untouched gel as the zero image", False, _add_gel),
+    SensorCheck("drift", _measure_trend, 6.0, "counts", "the light changes from photo to photo",
+                "let the lamps warm up, and fix the camera's exposure", False, _add_trend),
+    SensorCheck("dead pixels", _count_dead, 4.0, "pixels", "single pixels are stuck", "mark them in the sensor's mask"),
+    SensorCheck("contrast of the gel", _measure_loss, 0.2, "",
+                "the gel is worn: slopes are read {percent:.0f} % too small", "replace the gel and calibrate again",
+                False, _shrink_slopes),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Finding:
+class SensorFinding:
     """The `value` of a check's statistic. It is NaN if the check was not possible or is explained by another fault."""
 
-    check: Check
+    check: SensorCheck
     value: float
     says: str = ""
 
@@ -330,19 +341,15 @@ class Finding:
         """Whether the sensor has the check's fault."""
         return bool(self.says)
 
-    def find_limit(self, seen: Examination) -> float:
-        """Return the limit of the check for this sensor: larger if the value was large at the calibration."""
-        return max(self.check.limit, MARGIN * seen.usual.get(self.check.name, 0.0))
 
-
-def examine_photos(seen: Examination) -> list[Finding]:
+def examine_photos(seen: Examination) -> list[SensorFinding]:
     """Return the findings of all CHECKS, in their order."""
-    found: list[Finding] = []
+    found: list[SensorFinding] = []
     explained = False
     for check in CHECKS:
         value = NAN if explained else check.measure(seen)
-        fault = value > Finding(check, value).find_limit(seen)
-        found.append(Finding(check, value, _describe(check, seen, value) if fault else ""))
+        fault = value > check.find_limit(seen)
+        found.append(SensorFinding(check, value, _describe(check, seen, value) if fault else ""))
         explained = explained or (fault and check.explains)
     return found
 
@@ -354,7 +361,7 @@ def measure_usual(seen: Examination) -> dict[str, float]:
     return {name: value for name, value in values.items() if np.isfinite(value)}
 
 
-def _describe(check: Check, seen: Examination, value: float) -> str:
+def _describe(check: SensorCheck, seen: Examination, value: float) -> str:
     longer = "wider than high" if _measure_aspect(seen) > 0 else "higher than wide"
     return check.says.format(turn=seen.find_turn().name, percent=100 * value, longer=longer)
 
