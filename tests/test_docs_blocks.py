@@ -229,8 +229,7 @@ def run(words: list[str]) -> None:
         cheaper = [*cheaper, "--object", "pin", "--object", "head"]  # of the six
     done = CliRunner().invoke(app, [*words[1:], *cheaper], prog_name="tactile-loc")
     uncertain = done.exit_code == 3 and "--require" in words  # that is no fault of the page
-    faulty = done.exit_code == 1 and words[1:3] == ["doctor", "--sensor"]  # a sensor calibrated in a few steps
-    assert done.exit_code == 0 or uncertain or faulty, (words, done.stderr)
+    assert done.exit_code == 0 or uncertain, (words, done.stderr)
 
 
 @pytest.mark.slow
