@@ -61,7 +61,7 @@ def simulate_scan(mesh: TriangleMesh, rms_m: float, correlation_m: float, rng: n
     waves = rng.standard_normal((WAVES, 3)) / correlation_m
     phases = rng.uniform(0, 2 * np.pi, WAVES)
     field = np.cos(fine.vertices_m @ waves.T + phases).sum(axis=1)
-    normals, areas = _compute_vertex_normals(fine)
+    normals, areas = fine.vertex_normals, _compute_vertex_areas(fine)
     field *= rms_m / np.sqrt(np.average(field**2, weights=areas))
     return TriangleMesh(fine.vertices_m + field[:, None] * normals, fine.faces)
 
@@ -177,15 +177,9 @@ def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(vertices, faces[(a != b) & (b != c) & (c != a)])
 
 
-def _compute_vertex_normals(mesh: TriangleMesh) -> tuple[Float64, Float64]:
-    """Return, for each vertex, the area-weighted unit normal (V, 3) and a third of the area (V,) of its faces."""
-    a, b, c = np.moveaxis(mesh.triangles_m, 1, 0)
-    across = 0.5 * np.cross(b - a, c - a)
-    normals, areas = np.zeros_like(mesh.vertices_m), np.zeros(len(mesh.vertices_m))
-    for corner in mesh.faces.T:
-        np.add.at(normals, corner, across)
-        np.add.at(areas, corner, np.linalg.norm(across, axis=1) / 3)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30), areas
+def _compute_vertex_areas(mesh: TriangleMesh) -> Float64:
+    """Return, for each vertex, a third of the area (V,) of its faces, m^2."""
+    return np.bincount(mesh.faces.ravel(), np.repeat(mesh.face_areas / 3, 3), len(mesh.vertices_m))
 
 
 def _measure_rms_distance(points_m: Float64, mesh: TriangleMesh) -> float:

@@ -32,7 +32,7 @@ from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.touches import read_touch, touch_from_image
 from tactile_loc.locate.method import LocatingMethod, Query, Refinement
 from tactile_loc.locate.outliers import localize_agreeing, localize_by_likeliest_law, require_within_reach
-from tactile_loc.locate.preparation import TOUCHES, list_examples, list_presses, place_touches
+from tactile_loc.locate.preparation import TOUCHES, list_examples, list_presses
 from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
@@ -41,7 +41,7 @@ from tactile_loc.locate.sources.listed_grid import ListedSource, ObjectPoseModel
 from tactile_loc.locate.sources.source import FindPlaces, PoseSource, Scored, SourceSetup
 from tactile_loc.locate.sources.whole_object import WholeObjectSource
 from tactile_loc.locate.stored_object import load_stored_object
-from tactile_loc.simulate.resting_touches import draw_resting_touches
+from tactile_loc.simulate.resting_touches import draw_resting_touches, rest
 from tactile_loc.simulate.touch_simulation import simulate_touches
 from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc.store.store import StageStore
@@ -116,7 +116,7 @@ class Localizer:
             for one, press_m in works:
                 one.source.prepare(press_m)
                 advance(1)
-        taken = [place_touches(one.simulate(TOUCHES, self.config.seed, noise="mild")) for one in self._known]
+        taken = [rest(one.simulate(TOUCHES, self.config.seed, noise="mild"), np.eye(4)) for one in self._known]
         masks = not self.encoder.capabilities.needs_training  # trained encoders compare depths
         examples = [example for touches in taken for example in list_examples(touches, masks)]
         examples.append(([touches[0] for touches in taken], {}))

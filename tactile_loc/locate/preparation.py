@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.places.places import PRESS_STEP_M
 from tactile_loc.core.poses.priors import GaussianPrior
 from tactile_loc.core.runtime.errors import TouchError
@@ -28,11 +28,6 @@ def list_presses(deepest_m: float, trained: bool) -> list[float]:
     if trained:
         return [deepest_m]
     return [deepest_m, *(PRESS_STEP_M * np.arange(int(deepest_m / PRESS_STEP_M), 0, -1)).tolist()]
-
-
-def place_touches(touches: Sequence[Touch]) -> list[Touch]:
-    """Return simulated touches of the object at rest in the origin of the base frame."""
-    return [replace(touch, T_base_sensor=invert(np.asarray(touch.T_sensor_object))) for touch in touches]
 
 
 def list_examples(touches: Sequence[Touch], masks: bool) -> Iterator[tuple[list[Touch], dict[str, Any]]]:

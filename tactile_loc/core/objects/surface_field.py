@@ -28,6 +28,7 @@ KEPT_BYTES = 512 * 2**20  # of fields in memory
 FAR = 255  # value of a distance of `reach_m` or more
 SAME, SAME_SQUARED = 1e-9, 1e-18  # squared distances are equal up to this share of them, plus this much
 MOST_TIES = 16  # steps to equally near triangles in one search
+TO_MM = np.repeat([1e3, 1.0, 1e6, 1e12], [9, 3, 3, 1])  # factors of a row of `NearestTriangles.faces` from metres
 SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
 
 
@@ -35,7 +36,6 @@ SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0
 class SurfaceField:
     """The nearest surface points of a mesh, for points up to `reach_m` metres from the mesh."""
 
-    corners_m: NDArray[np.float64]  # (F, 3, 3)
     triangles: NearestTriangles
     reach_m: float
     distances: NDArray[np.uint8]  # (X, Y, Z), from the centre of each cell to the surface, in steps of reach_m / FAR
@@ -54,7 +54,7 @@ class SurfaceField:
         _mark_crossed(triangles, boxes, squared_m2)
         _carry(triangles, boxes, reach_m, squared_m2, np.argwhere(nearest >= 0).astype(np.int32))
         distances = np.minimum(np.rint(np.sqrt(squared_m2) * np.float32(FAR / reach_m)), FAR).astype(np.uint8)
-        return cls(corners, triangles, reach_m, distances)
+        return cls(triangles, reach_m, distances)
 
     @property
     def nbytes(self) -> int:
@@ -65,7 +65,7 @@ class SurfaceField:
     def triangles_mm(self) -> NearestTriangles:
         """The arrays for compiled code, in mm."""
         of = self.triangles
-        return of._replace(faces=pack_triangles(self.corners_m * 1e3), low=of.low * 1e3, cell=of.cell * 1e3)
+        return of._replace(faces=of.faces * TO_MM, low=of.low * 1e3, cell=of.cell * 1e3)
 
     def find_closest(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return the surface points (N, 3), metres, nearest to points (N, 3), metres, in the object frame.

@@ -1,4 +1,4 @@
-"""What lies over the view: the verdict as a coloured badge with one sentence, and the progress of a long work."""
+"""The card over the view: the verdict as a coloured badge with one sentence, or the progress of a long work."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Overlay:
         self._handle.content = f'<div style="{CARD}"><div>{html.escape(text)}</div></div>'
 
     def show_result(self, found: Localization) -> None:
-        """Show the verdict and what it means."""
+        """Show the verdict and its meaning."""
         verdict = str(found.verdict)
         sign, badge = SIGNS.get(verdict, OTHER_SIGN), BADGE.format(PALETTE.find_verdict(verdict))
         self._handle.content = (
