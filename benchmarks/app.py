@@ -8,8 +8,6 @@ triangles. Updates in which the finger misses the object are cheaper, and do not
 the median and the 95 % quantile: it loads compiled code, and builds what the renderer keeps for an object.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import tempfile

@@ -1,7 +1,5 @@
 """What the benchmarks share: their command line, the objects that it names, and touches of these objects."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

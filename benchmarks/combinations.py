@@ -13,8 +13,6 @@ A refused combination must be refused with a reason before anything is built.
 choose a subset. The encoder `outline` comes with `pip install -e plugins_contrib/tactile-loc-outline`.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

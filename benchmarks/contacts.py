@@ -19,8 +19,6 @@ how often the wrong touch is named, a right touch is named, or no touch is named
 Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import itertools

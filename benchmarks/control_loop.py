@@ -5,8 +5,6 @@ The first row of an object is the script of docs/control-loop.md, which tracks a
 localizer with touches of the script, one finger or both.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -9,8 +9,6 @@ error squared (5.35 for true covariances), and the shares of truths in the 50 an
 "misplaced", sensor poses are wrong by 0.5 mm and 0.5 degrees, and the touches state these errors.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 

@@ -9,8 +9,6 @@ The sets are those of the grid's posterior, before poses are refined. Meshes are
 object's name; by default the demo objects.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

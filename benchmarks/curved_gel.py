@@ -7,8 +7,6 @@ flat gel. Touches on a flat gel are the reference. For one touch and for three, 
 error, the share within 1 mm, and the share with any hypothesis within 1 mm.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 from pathlib import Path

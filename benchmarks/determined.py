@@ -8,8 +8,6 @@ its depths differ from those of each touch by at most MARGIN_M (root mean square
 in contact).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

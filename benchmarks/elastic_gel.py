@@ -12,8 +12,6 @@ an error counts as not located.
 Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 import time

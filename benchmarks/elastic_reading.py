@@ -10,8 +10,6 @@ has the pose of the prism, located in the image with the whole object searched.
 `--data` is a folder with both sets. `--picture` also draws the pressure and the profiles.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

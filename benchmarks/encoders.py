@@ -8,8 +8,6 @@ modulo symmetry. Meshes are given as FILE[:UNITS]; the default is all demo objec
 interrupted run can be resumed. Training is timed when it happens. `tactile-loc paper` compares encoders on one face.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

@@ -7,8 +7,6 @@ from the others, at random or spread over the gel. Spreading starts with the pre
 repeatedly adds the press farthest from all chosen presses.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path

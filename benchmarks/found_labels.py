@@ -8,8 +8,6 @@ for calibrations on the same presses. For `found on hand`, for example, the cali
 tested on labels by hand. `moved` are the found labels minus the offset.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 import time

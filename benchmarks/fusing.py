@@ -6,8 +6,6 @@ For each mesh (FILE[:UNITS]; default: the demo objects), one face is searched wi
 beforehand. Only the fuser is timed, after a warm-up.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 import time

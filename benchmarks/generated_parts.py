@@ -9,8 +9,6 @@ Libraries have parts of FAMILIES, with flat faces, cylinders and sharp edges. Pa
 bent rods, have mostly curved faces and few edges. The descriptor is trained on both.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import zlib

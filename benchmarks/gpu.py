@@ -10,8 +10,6 @@ Times are medians in one run, for one touch and for 256, in float32, in bfloat16
 runs the same without graphs, as a rehearsal.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import logging

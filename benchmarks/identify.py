@@ -18,8 +18,6 @@ the weight of their prior. For each size of the library, the times of a quick co
 `--out` keeps the examples, one file for each object and number of touches, which are not measured again.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

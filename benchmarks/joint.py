@@ -8,8 +8,6 @@ symmetry) of the hypothesis that explains each example best. For one thread, set
 `NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1`.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 

@@ -10,8 +10,6 @@ Times are those of all processors together, s, because a shared machine delays a
 process without mapped files. `--no-identify` leaves out the identification.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable

@@ -16,8 +16,6 @@ off (any pose, for another object). *Certain and right* is the share of all fram
 "certain" and whose first pose is at most 3 mm off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -12,8 +12,6 @@ of the depth in its tip from the stated press. The sphere's error is the RMS dis
 circle from the sphere that fits best. The last column compares the surface with that read without dots.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil

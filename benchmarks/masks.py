@@ -9,8 +9,6 @@ examples whose first pose is right, and the share with a right one among the lis
 examples whose first pose would be certain by its probability alone, and how many of these are right.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 import time

@@ -12,8 +12,6 @@ names none. The first row is without a mistake.
 Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import tempfile

@@ -10,8 +10,6 @@ With `--outlier`, the flange's pose of one touch in each example is wrong by 5 m
 has the share of examples that exclude this touch.
 """
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import NamedTuple

@@ -18,8 +18,6 @@ that are certain and right in the end, the share that are certain and wrong, the
 time of a choice. `--out` keeps each example, which is not measured again.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import time

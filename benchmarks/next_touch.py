@@ -31,8 +31,6 @@ all objects, by noise. Objects are FILE[:UNITS] or demo names. `--out` keeps eac
 examples, which are not measured again.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import time

@@ -16,8 +16,6 @@ have less weight: see FAULTY_WEIGHT. `verdicts.py` judges the model on other par
 An example is right if the pose error of its first pose is at most the tolerance.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

@@ -10,8 +10,6 @@ in `contacts.py`. The table has the median pose error, the share within 1 mm, an
 1 mm. Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

@@ -9,8 +9,6 @@ examples in which the touched part is among the best 64, and in which it is the 
 parts are a random choice. `--asked` chooses the touched parts by their names.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from pathlib import Path

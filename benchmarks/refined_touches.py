@@ -9,8 +9,6 @@ best: the largest displacement of a surface point, modulo symmetry. One touch of
 candidates of the first example, so that its library is loaded.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections import defaultdict

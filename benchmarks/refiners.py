@@ -14,8 +14,6 @@ Refiners from other libraries get the same clouds as ours. As with ours, a resul
 candidate is rejected. Missing libraries are left out. To install them: pip install small_gicp probreg
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

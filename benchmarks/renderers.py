@@ -7,8 +7,6 @@ Only the render call is timed, after a warm-up for compiling, building and uploa
 median of the rounds counts. All renderers are compared with ray casting, over all poses.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

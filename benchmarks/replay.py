@@ -13,8 +13,6 @@ message's covariance (5.35 for a true covariance). Models are built beforehand. 
 all poses of the object. Therefore an image that looks like another place of the object gives a pose at that place.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from pathlib import Path

@@ -13,8 +13,6 @@ Then follow the median and the 95 % quantile of the time to ten refined hypothes
 `--grid` and `--encoder` choose other components.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import multiprocessing

@@ -7,8 +7,6 @@ hypotheses. Touches come from random directions, and are drawn by ray casting. A
 and number of directions.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 import time

@@ -6,8 +6,6 @@ The public sets are those of `real_images.py`. Of five presses, three calibrate 
 the checks that are named for it finds a fault.
 """
 
-from __future__ import annotations
-
 import csv
 import tempfile
 from collections.abc import Callable, Mapping, Sequence

@@ -16,8 +16,6 @@ The table counts this at once for one frame alone, and later for the tracker's f
 `OMP_NUM_THREADS=1` keeps libraries from waiting for each other.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path

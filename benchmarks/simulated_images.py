@@ -11,8 +11,6 @@ from clean contact shapes of the same touches. A second table has the results fo
 `--poses` poses.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import tempfile

@@ -6,8 +6,6 @@ poses. Errors are ADD over 10 000 surface points, modulo symmetry, in mm and div
 Meshes are given as FILE[:UNITS]; the default is all demo objects. Times are medians on this machine, in one run.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

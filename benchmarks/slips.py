@@ -12,8 +12,6 @@ the key touches since the slip, located together at each frame. *Certain and wro
 slip. Meshes are given as FILE[:UNITS] or a demo object's name. `--out` keeps the tracks, which are not measured again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

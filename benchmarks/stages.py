@@ -12,8 +12,6 @@ and *shape* is the share with a shape distance of at most 1 mm.
 Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

@@ -7,8 +7,6 @@ compiled code, and an empty store each. The second table has the size of each ob
 its places and to open them. All folders are temporary.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

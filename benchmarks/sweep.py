@@ -8,8 +8,6 @@ prints these numbers, and writes them to `--out`/counts.json. The exit code is 1
 built twice.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

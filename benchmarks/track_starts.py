@@ -17,8 +17,6 @@ counts slides whose last pose is right: by the tracker, and by the key touches l
 to a file, from which the same command continues. Meshes are given as FILE[:UNITS] or a demo object's name.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import itertools

@@ -11,8 +11,6 @@ more than a verdict can. The interval of the difference is that of redrawn parts
 a pose if the search of `determined.py` finds no other pose that fits.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

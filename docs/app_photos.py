@@ -1,7 +1,5 @@
 """Simulated photos of a tactile sensor: of a pressed ball, to calibrate the sensor, and of an object."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

@@ -7,8 +7,6 @@ photos of a ball, and locates the object from a photo of this sensor. With `--pi
 and docs/images/app-calibration.png.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """A headless browser for the programs that photograph pages: chromium with its chromedriver, driven by selenium."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Mapping
 from typing import Any

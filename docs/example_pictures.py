@@ -4,8 +4,6 @@
 The viewer runs in headless Chromium, so this program needs selenium, chromium and chromedriver.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -6,8 +6,6 @@ function is its share of the samples. The functions that it calls are above it. 
 drawn, so compiled code and numpy count for the function that calls them.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

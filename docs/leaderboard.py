@@ -4,8 +4,6 @@
 The leaderboard shows all files of its folder. Run this program to renew both pages.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 import textwrap

@@ -4,8 +4,6 @@
 Touches and results are those of the program. Writes docs/images/touches.gif and touches-dark.gif.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

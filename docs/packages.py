@@ -4,8 +4,6 @@
 Run this script to renew the table of docs/architecture.md and its picture, docs/images/packages.svg.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

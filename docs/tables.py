@@ -5,8 +5,6 @@ Options come from their models. The last cell of a row, the effect of a larger v
 Run this script to renew the tables.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -12,8 +12,6 @@ of work before and after a run. `page` writes benchmarks/results/README.md, and 
 come from results.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import os

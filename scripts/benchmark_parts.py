@@ -4,8 +4,6 @@ Nothing in tactile-loc was tuned on these parts. They are drawn in millimetres w
 The same code and libraries give the same bytes.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

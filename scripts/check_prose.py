@@ -4,8 +4,6 @@
 The script knows only the worst patterns, and allows no exception. It prints advice with each fault.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re

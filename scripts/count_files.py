@@ -1,8 +1,6 @@
 #!/usr/bin/env python3
 """Count the files of tactile_loc whose functions a second, warm `localize` of one touch enters."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -5,8 +5,6 @@ millimetres. A profile is a list of (radius, z). A path in the xz plane has rows
 radians from +x towards +z. The same code and libraries give the same bytes.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

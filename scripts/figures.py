@@ -9,8 +9,6 @@ person must check the other sentences, and bind them again (`scripts/bench.py bi
 A marker without a number stands before text alone. `<!-- results: none -->` stands before figures from other sources.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ a process that dies; and a file written elsewhere. OUT/findings/READER-NUMBER ha
 OUT/state.json keeps the counts. The same command continues from this file.
 """
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import os

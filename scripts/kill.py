@@ -6,8 +6,6 @@ eight commands run at once on one store. The seed sets the moments, but the mach
 hits. OUT/record.json keeps the outcomes. The same command continues from this file.
 """
 
-from __future__ import annotations
-
 import sys
 
 from killing.commands import COMMANDS, make_inputs

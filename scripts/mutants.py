@@ -4,8 +4,6 @@ Mutants of annotations, texts, raised errors, log lines, code for type checkers,
 tests of a target are only the quick tests that mirror its files.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ session for `cr-report` and `cr-html`. The same command continues the session. I
 the target's files, their tests or the number of mutants.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

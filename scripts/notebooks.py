@@ -6,8 +6,6 @@ ends the program with exit code 1, after the other notebooks. Give names to exec
 first-touch`.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import platform

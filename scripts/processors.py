@@ -6,8 +6,6 @@ code. First, each variant locates the same touches. Verdicts and certain poses m
 `--by-commit` runs one variant, chosen by the hash of the commit. Arguments after `--` replace those of pytest.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -3,8 +3,6 @@
 `{}` stands for a figure. The page decides how many decimals it shows. Figures in SETTINGS do not come from a table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import accumulate
 from statistics import geometric_mean, mean, median

@@ -4,8 +4,6 @@ mkdocs itself warns only if a page links to such a name. Names of the API are th
 `tactile_loc.Touch`. Anchors of headings have no dot.
 """
 
-from __future__ import annotations
-
 import logging
 import re
 from typing import Any

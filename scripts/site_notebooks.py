@@ -5,8 +5,6 @@ states that the outputs are missing. A notebook becomes Markdown, so that its li
 found, and it looks like the other pages.
 """
 
-from __future__ import annotations
-
 import base64
 import re
 from pathlib import Path

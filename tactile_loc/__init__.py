@@ -3,8 +3,6 @@
 This is the public API. Names are imported at their first use, so `import tactile_loc` is fast.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from tactile_loc.core.runtime.lazy import lazy_names

@@ -6,8 +6,6 @@ commands with `CommandSpec` and `hookimpl` of `tactile_loc.plugin`. Names are im
 
 # ruff: noqa: I001 - names are grouped by purpose
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from tactile_loc.core.runtime.lazy import lazy_names

@@ -1,7 +1,5 @@
 """A headless browser without a network, and the requests of its pages."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Tests in an environment without an extra: a test that needs its library, or an annex, is skipped with a reason."""
 
-from __future__ import annotations
-
 import re
 from importlib.util import find_spec
 

@@ -1,7 +1,5 @@
 """Kill a process before each of its file operations."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Helpers of the tests that locate touches: examples from another renderer, and the errors of poses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

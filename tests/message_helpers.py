@@ -1,7 +1,5 @@
 """Check that a message names certain values, independent of its wording."""
 
-from __future__ import annotations
-
 import re
 
 

@@ -1,7 +1,5 @@
 """Read the pages of the documentation, their blocks of code, and the commands in them."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import shlex

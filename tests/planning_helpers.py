@@ -1,7 +1,5 @@
 """The gel, the poses and the objects of which tests choose the next touch."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Random poses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import Poses, draw_rotations, make_transform

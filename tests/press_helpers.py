@@ -1,7 +1,5 @@
 """Touches of an object pressed into sensors, with a known truth, and their views."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about

@@ -1,7 +1,5 @@
 """Simulated presses of a ball with known geometry, as arrays and as the folder that `calibrate` reads."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """Writers of ball presses in the format of each supported public set."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Write ROS bags."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

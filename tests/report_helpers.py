@@ -1,7 +1,5 @@
 """Small results for reports, and a parser of report pages."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import itertools

@@ -1,7 +1,5 @@
 """Read Rerun files with Rerun's own reader."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A small documentation site with the settings of the project's own site."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

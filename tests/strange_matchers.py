@@ -1,7 +1,5 @@
 """Matchers of third-party plugins, for the current, an earlier and a later plugin interface."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace

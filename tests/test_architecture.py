@@ -1,7 +1,5 @@
 """Imports between packages point to lower layers without cycles, and docs/architecture.md matches the code."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The distances of altered surfaces come from an independent closest-point computation.
 """
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

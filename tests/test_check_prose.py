@@ -1,7 +1,5 @@
 """The check of the project's English flags bad phrases, and passes good sentences."""
 
-from __future__ import annotations
-
 import check_prose
 import pytest
 from check_prose import LONGEST, find_faults, read_code, read_page, split_sentences

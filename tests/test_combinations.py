@@ -1,7 +1,5 @@
 """Every pair of options of two slots occurs in a combination that locates a touch."""
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 import os

@@ -1,7 +1,5 @@
 """The API reference contains every public name once, and the methods that users call on a Localizer."""
 
-from __future__ import annotations
-
 import importlib
 import re
 

@@ -4,8 +4,6 @@ Shell commands run in a folder with the files that they name. The tests add only
 shorter training. The blocks of some pages have separate tests, which ELSEWHERE names.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import re

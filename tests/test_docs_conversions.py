@@ -1,7 +1,5 @@
 """The conversions of docs/other-tools.md agree with the other tools, or with scipy where a tool is absent."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Links between the README, the documentation and the packages' READMEs lead to existing files and headings."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from functools import cache

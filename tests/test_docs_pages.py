@@ -1,7 +1,5 @@
 """What single pages state is true: commands, tables, messages, limits and files. Their examples work."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

@@ -1,7 +1,5 @@
 """The pictures of the guide: tracking errors up to symmetry, and the noise levels in one colour scale."""
 
-from __future__ import annotations
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pictures as guide

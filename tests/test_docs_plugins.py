@@ -1,7 +1,5 @@
 """The pages on plugins match the code: examples, tables of slots, errors and versions."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The site: its navigation, its builder's checks and its search, partly on a small example site."""
 
-from __future__ import annotations
-
 import functools
 import http.server
 import re

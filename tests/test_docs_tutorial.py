@@ -1,7 +1,5 @@
 """The blocks of docs/tutorial-plugin.md run in order and give the output that the page shows."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

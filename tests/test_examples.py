@@ -1,7 +1,5 @@
 """The scripts of examples/ run, are short, find the right poses, and have a picture on examples.md (in docs)."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import runpy

@@ -1,7 +1,5 @@
 """A short run of the fuzzer, and tests of its checks."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """A short run of the kill trials, and tests of their checks."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Messages of the library suit Python and the command line: they name settings, such as `touch_unit`, not flags."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

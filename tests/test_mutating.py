@@ -1,7 +1,5 @@
 """Mutants without an observable effect do not count, and the sample depends only on the seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

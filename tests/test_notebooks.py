@@ -1,7 +1,5 @@
 """The notebooks run, explain themselves and are in git without outputs. The site shows them with their outputs."""
 
-from __future__ import annotations
-
 import base64
 import re
 import sys

@@ -1,7 +1,5 @@
 """The dataclasses of core and store are frozen, and those with arrays have no comparison."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import inspect

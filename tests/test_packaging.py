@@ -1,7 +1,5 @@
 """The installation: pinned dependencies, entry points, and the files in the wheel."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

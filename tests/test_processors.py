@@ -1,7 +1,5 @@
 """The variants of other processors change the features in force; variants that this one lacks are skipped by name."""
 
-from __future__ import annotations
-
 import processors
 import pytest
 

@@ -1,7 +1,5 @@
 """The promises of SECURITY.md: no file of any name is read as a pickle, and all files that it names exist."""
 
-from __future__ import annotations
-
 import ast
 import pickle
 import re

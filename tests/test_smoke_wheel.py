@@ -1,7 +1,5 @@
 """The smoke test of the wheel; a stand-in for Python replaces building and installing."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

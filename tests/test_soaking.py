@@ -1,7 +1,5 @@
 """The soak test reports memory growth, open files and changed answers, also in a short run."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import sys

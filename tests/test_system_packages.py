@@ -1,7 +1,5 @@
 """The check of the system libraries, with a missing library and stand-ins for package managers."""
 
-from __future__ import annotations
-
 import _ctypes
 import os
 import shutil

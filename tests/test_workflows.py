@@ -1,7 +1,5 @@
 """The workflows, the Dockerfile and the citation agree with the files of the project."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

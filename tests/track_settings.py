@@ -1,7 +1,5 @@
 """The settings of a localizer for one face and a small image, with which tests track an object fast."""
 
-from __future__ import annotations
-
 from typing import Any
 
 SETTINGS: dict[str, Any] = {

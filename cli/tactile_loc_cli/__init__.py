@@ -1,7 +1,5 @@
 """The command line, as a plugin that offers the commands of tactile-loc by the hook for commands."""
 
-from __future__ import annotations
-
 from tactile_loc.slots.registry import COMMAND, CommandSpec, ComponentKind, hookimpl
 
 # name, function or application, summary

@@ -1,7 +1,5 @@
 """Commands made from functions: the options --json, -v and -q, the error handling, and the completion of names."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import inspect

@@ -1,7 +1,5 @@
 """Output on the terminal: results on stdout; errors, warnings and progress on stderr."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math

@@ -3,8 +3,6 @@
 A traceback appears only with -vv.
 """
 
-from __future__ import annotations
-
 import errno
 import logging
 import sys

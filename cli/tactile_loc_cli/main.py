@@ -1,7 +1,5 @@
 """The command `tactile-loc`."""
 
-from __future__ import annotations
-
 import gc
 import sys
 from collections.abc import Iterator, Mapping, Sequence

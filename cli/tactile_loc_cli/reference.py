@@ -1,7 +1,5 @@
 """Generates docs/cli.md from the help texts and the schema of result.json: `python -m tactile_loc_cli.reference`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

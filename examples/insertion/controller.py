@@ -1,7 +1,5 @@
 """The controller's decisions: insert, touch again at another placement of the gripper, or stop."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace

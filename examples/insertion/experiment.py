@@ -1,7 +1,5 @@
 """One trial: the grasp, then each method from this grasp, and the record of each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

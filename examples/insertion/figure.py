@@ -1,7 +1,5 @@
 """A figure of the comparison: success rates with intervals, and peak forces."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Chooses how MuJoCo draws without a display. Call `choose_backend` before the first import of mujoco."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess

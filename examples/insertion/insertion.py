@@ -1,7 +1,5 @@
 """Insertion into the hole: compliant, in a straight line, or after a blind search along a spiral."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from robot import Robot

@@ -1,7 +1,5 @@
 """Surfaces of the parts: the union of their pieces, which the localizer and the tactile images use."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import trimesh

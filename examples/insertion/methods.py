@@ -1,7 +1,5 @@
 """The five methods that are compared. Each starts from the same grasp, and ends with the part inserted or not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The records of finished methods: kept as JSON lines, summarised as a table."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Sequence

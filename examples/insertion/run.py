@@ -1,7 +1,5 @@
 """Insert parts by touch in a physics engine, and compare five methods on the same grasps."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

@@ -4,8 +4,6 @@ World frame: the hole's mouth is at the origin, and z points up. Gripper frame: 
 and the origin is midway between the middles of the gels. Lengths are in metres, forces in newtons.
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from shapes import Part, Points, make_hole

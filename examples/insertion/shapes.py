@@ -4,8 +4,6 @@ All outlines are convex polygons (K, 2), metres, counterclockwise. All points ar
 the middle of the handle, and the shank points along -z.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The trials: which part, which clearance and which seed. They were fixed before the first comparison."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

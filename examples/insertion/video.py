@@ -1,7 +1,5 @@
 """A video of one trial: the scene, what both gels feel, and the verdict."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Correct files, which are then damaged. The folder `whole` has the TOML files."""
 
-from __future__ import annotations
-
 import shutil
 from io import BytesIO
 from pathlib import Path

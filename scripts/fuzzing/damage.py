@@ -1,7 +1,5 @@
 """Damage to files: changed bytes, false lengths, names that lead elsewhere, and unexpected values."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import io

@@ -1,7 +1,5 @@
 """Every reader, its files, and the checks of accepted inputs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, partial

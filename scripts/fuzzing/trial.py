@@ -1,7 +1,5 @@
 """A damaged input and the verdict of its reader: an answer, a refusal in one sentence, or a finding."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

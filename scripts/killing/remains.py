@@ -1,7 +1,5 @@
 """Checks of the files that a command leaves: broken files, finished work, leftovers, and the answer."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The kinds of trials (killed commands, full disks, several commands at once), and the checks after each trial."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

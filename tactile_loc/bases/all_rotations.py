@@ -1,7 +1,5 @@
 """Base class for grids that combine a list of rotations from all of SO(3) with a plane lattice."""
 
-from __future__ import annotations
-
 import logging
 from abc import abstractmethod
 from collections.abc import Callable

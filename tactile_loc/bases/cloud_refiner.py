@@ -1,7 +1,5 @@
 """Base class for refiners that register candidates' contact clouds to that of a touch."""
 
-from __future__ import annotations
-
 import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The search for poses that touch every sensor, in each sensor's grid, and the base class for fusers that use it."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Base class for sensors with a fixed geometry whose observations are already contact shapes."""
 
-from __future__ import annotations
-
 import dataclasses
 from abc import abstractmethod
 from typing import Any, ClassVar

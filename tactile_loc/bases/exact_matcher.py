@@ -1,7 +1,5 @@
 """Base class for matchers that score all poses exactly."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

@@ -4,8 +4,6 @@ The meshes are watertight and in metres. The functions of `scripts/demo_meshes.p
 objects' frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

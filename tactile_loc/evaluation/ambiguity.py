@@ -14,8 +14,6 @@ A touch's ratio is the least ratio over all distant poses. Below 1, the touch is
 for a wrong pose.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

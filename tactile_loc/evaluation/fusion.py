@@ -1,7 +1,5 @@
 """The paper's protocol for several simulated touches of one object: the error by number of contacts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Jobs that are done once: their rows are kept in files, so that an interrupted sweep or benchmark resumes."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import traceback

@@ -4,8 +4,6 @@ All errors take symmetry into account: see `core.poses.pose_errors`. The metrics
 level, entropy, spread and coverage.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

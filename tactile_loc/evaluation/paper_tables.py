@@ -4,8 +4,6 @@ The paper is Bauza et al., Tactile Object Pose Estimation from the First Touch w
 2020). PUBLISHED has its own results.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The paper's protocol for one simulated touch: errors of estimates, and the least errors that the grid allows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial

@@ -4,8 +4,6 @@ The touches are independent of the software that locates them: they use no face 
 are enough. A press that a sensor cannot distinguish from no touch is refused and counted.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

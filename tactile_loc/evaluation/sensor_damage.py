@@ -1,7 +1,5 @@
 """The pose errors that the faults of a sensor would cause on a reference part."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

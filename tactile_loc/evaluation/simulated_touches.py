@@ -1,7 +1,5 @@
 """Simulated touches for evaluations, as contact shapes or as images."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A slide, recorded with known true poses: a sensor is pressed on an object, slides over it and lifts off."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Rows as tables in Markdown, CSV, Parquet and JSON. A row maps names to JSON values, and a name ends with its unit."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

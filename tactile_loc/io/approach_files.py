@@ -1,7 +1,5 @@
 """Reads and writes approaches as TOML. An approach is a touch that could be made: its start pose, press and cost."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reads tables from CSV files: a heading with the names of the columns, and rows of texts and numbers."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

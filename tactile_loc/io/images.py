@@ -1,7 +1,5 @@
 """Reads images from untrusted files: photos, masks and depths. Damaged files are refused, and so are large ones."""
 
-from __future__ import annotations
-
 import os
 import re
 import warnings

@@ -1,7 +1,5 @@
 """The keys of JSON documents: each has a type and a meaning, which the documentation lists. Nouns give the values."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 `tactile-loc mount` finds a mount from touches. A nominal mount is taken from a drawing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

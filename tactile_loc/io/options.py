@@ -3,8 +3,6 @@
 On the command line, these options are set like a component's options: `-o search.registered=500`, `-o tracker.modes=4`.
 """
 
-from __future__ import annotations
-
 from pydantic import BaseModel, ConfigDict, Field
 
 TUNABLE = ("search", "hypotheses", "tracker")

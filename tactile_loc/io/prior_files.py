@@ -1,7 +1,5 @@
 """Reads priors from TOML files, in mm and degrees: a Gaussian about a pose, a box, or a half-space."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 docs/files.md lists the keys of a sensor file. examples/my_sensor.toml is an example.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Contact shapes as arrays of colours, without a drawing library, for pages that show many of them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

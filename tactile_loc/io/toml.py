@@ -1,7 +1,5 @@
 """TOML files: reading values and poses, messages about wrong keys, and writing settings."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

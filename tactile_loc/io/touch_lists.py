@@ -4,8 +4,6 @@ A list of touches of one object is TOML. Touches with known poses are such a lis
 `simulate`.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Distinct hypotheses from posteriors: modes are proposed, refined against all touches, weighed and merged."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Collection, Sequence
 

@@ -9,8 +9,6 @@ explains. If the best object has a larger misfit than the floors of all touches,
 How probably was fitted to simulated touches: see `null_evidence.py`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

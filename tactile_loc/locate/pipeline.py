@@ -1,7 +1,5 @@
 """The pipeline from touches to poses: search, fuse, propose, refine, compare, weigh and merge."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 

@@ -7,8 +7,6 @@ shrinks from round to round, as in the cross-entropy method (Rubinstein, Methodo
 Probability 1, 1999).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The preparation of a localizer: the presses to build, and examples that compile and load what later calls need."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace

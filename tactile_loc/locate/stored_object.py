@@ -1,7 +1,5 @@
 """An object's surface and symmetry, stored because reading a mesh and finding its symmetry takes seconds."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Touches read from paths: a folder or pattern of separate touches, or a list of touches of one object."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """Approaches from random directions: to an object in its own frame, or to an object whose pose is not certain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

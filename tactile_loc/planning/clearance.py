@@ -5,8 +5,6 @@ and with a fixture, by the triangles of both surfaces (FCL, through python-fcl).
 behind the gel's surface as the sensor is pressed, it may enter the object.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """`identification.json`, the result of an identification, in SI units, and the same result in words."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The next step after a localisation, in words: where to touch again, relative to the touch just made."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

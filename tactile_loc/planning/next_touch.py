@@ -9,8 +9,6 @@ contradicts a wrong pose less than the expected touch does, and only a share of 
 To decide which modes no touch distinguishes, all of it counts (`FULL`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

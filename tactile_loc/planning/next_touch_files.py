@@ -1,7 +1,5 @@
 """The file `next_touch.json`: the rated approaches. SI units."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tactile_loc.io.json_keys import Key, Keys, write_keys

@@ -4,8 +4,6 @@ The evidence is that of `imprints.py`. An elastic gel shows the object only wher
 contact gives evidence.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -7,8 +7,6 @@ imported at their first use, so a package's `__init__` can import `ComponentSpec
 
 # ruff: noqa: I001 - names are grouped by purpose
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from tactile_loc.core.runtime.lazy import lazy_names

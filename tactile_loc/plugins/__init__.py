@@ -1,7 +1,5 @@
 """The built-in components. They are registered through the same entry point and hook as third-party plugins."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import ComponentSpec, hookimpl
 from tactile_loc.plugin.helpers import INTERFACE_VERSION
 

@@ -4,8 +4,6 @@ The surface shows where the sensor's centre probably touches. A rotation is desc
 axis, and by the side of the object that faces the sensor.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

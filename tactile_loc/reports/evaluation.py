@@ -1,7 +1,5 @@
 """The reports of evaluations: by the paper's protocol from one touch and from several contacts, and of answers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The page of a live run, and the page's state for each frame: image, contact shape, pose and uncertainty."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The report of any result: find the result, make its page, and write the page."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

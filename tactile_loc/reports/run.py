@@ -1,7 +1,5 @@
 """The report of a run: the object's pose from one touch, or from several together."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import zip_longest
 from pathlib import Path

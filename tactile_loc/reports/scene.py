@@ -4,8 +4,6 @@ All values are for the page's scripts, in mm. Pads are in the sensor frame of th
 object frame.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

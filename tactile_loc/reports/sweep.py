@@ -1,7 +1,5 @@
 """The report of a sweep: every combination, error against time, the effect of each component, and failures."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Reports without plots: an identification, a next touch, a mount, a sensor's checks, and touches of a folder."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Contact grids of a given spacing, and random contact poses, from a sampler's candidate poses."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator
 

@@ -1,7 +1,5 @@
 """Training data for encoders with a grid of listed poses: each key is a pose's contact shape."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial

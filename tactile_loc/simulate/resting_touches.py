@@ -1,7 +1,5 @@
 """Simulated touches of one object at rest: a hand that touches it from random directions, or opposed fingers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

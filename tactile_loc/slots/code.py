@@ -1,7 +1,5 @@
 """Hashes of code. The hash of a component's code is part of all keys of the store that contain the component."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import re

@@ -1,7 +1,5 @@
 """Base class for all components: options, capabilities, and a description for the store."""
 
-from __future__ import annotations
-
 from abc import ABC
 from dataclasses import dataclass
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """The encoder slot: embeddings of contact shapes, and the training data of an encoder."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The fuser slot: combines the posteriors of several touches and a prior."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 

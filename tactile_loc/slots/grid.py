@@ -1,7 +1,5 @@
 """The grid slot: the poses, or the object's places, that are searched."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 
 import numpy as np

@@ -6,8 +6,6 @@
 | 1 | the first version |
 """
 
-from __future__ import annotations
-
 import inspect
 from typing import Any
 

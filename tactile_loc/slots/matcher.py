@@ -1,7 +1,5 @@
 """The matcher slot: the similarity of queries and the rows of a bank."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 
 from tactile_loc.core.geometry.rigid import Float32

@@ -1,7 +1,5 @@
 """Options models filled with values, and the sentences about values that they refuse."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

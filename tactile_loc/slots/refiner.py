@@ -1,7 +1,5 @@
 """The refiner slot: refines candidate poses."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 

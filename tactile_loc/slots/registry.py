@@ -5,8 +5,6 @@ component's class itself.
 A component's class is imported at its first use, and a command's module when the command runs.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import logging

@@ -1,7 +1,5 @@
 """The renderer slot: depth images of an object, as seen by the camera behind the gel."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 
 from tactile_loc.core.geometry.rigid import Float32, Poses

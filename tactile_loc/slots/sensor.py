@@ -1,7 +1,5 @@
 """The sensor slot: the geometry of a tactile sensor, and contact shapes from its images."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 Pickles are never loaded. Files that are damaged, or that state more data than they hold, are refused.
 """
 
-from __future__ import annotations
-
 import math
 import zipfile
 import zlib

@@ -1,7 +1,5 @@
 """A finished stage on disk: a folder of plain files, with a manifest of their checksums."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Atomic writing of files and folders: each is written beside its final place, synced, and renamed."""
 
-from __future__ import annotations
-
 import ctypes
 import glob
 import hashlib

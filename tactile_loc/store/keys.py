@@ -1,7 +1,5 @@
 """Content hashes: one string for all inputs of a stage. The string changes exactly when an input changes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Files that grow by whole lines, so that they stay readable if the program is killed."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Iterator

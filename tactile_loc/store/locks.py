@@ -3,8 +3,6 @@
 Windows opens no folder, and deletes no file that is open. There, a file in a folder stands for the folder.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The folder in which a stage is being built. Pieces that are finished survive an interruption."""
 
-from __future__ import annotations
-
 import errno
 import json
 import logging

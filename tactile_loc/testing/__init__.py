@@ -20,8 +20,6 @@ The cases are always the same. The message names the case that fails.
 If an encoder needs training, train it first, for instance on `tactile_loc.testing.problems.make_training_problem()`.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """Contract checks for commands. They import a command's target, and read the declarations of its options."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Checks for encoders: similar poses must have similar embeddings, at any press depth and image size."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from functools import partial

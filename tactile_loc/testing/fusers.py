@@ -1,7 +1,5 @@
 """Checks for fusers: probabilities must multiply over the grid of the first touch; some fusers use only contact."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial

@@ -1,7 +1,5 @@
 """Checks for grids: poses must be rigid, have the requested spacing, and cover the poses drawn at random."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Checks for matchers: a score must be minus half the squared distance, for any bank, queries and weights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 

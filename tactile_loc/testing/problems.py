@@ -3,8 +3,6 @@
 The main object is a block with different features. Candidates are near its true pose.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 

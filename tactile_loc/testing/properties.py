@@ -3,8 +3,6 @@
 The cases are few and always the same, so a property never fails by chance. A ContractError names the case.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

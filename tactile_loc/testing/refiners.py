@@ -1,7 +1,5 @@
 """Checks for refiners: the true pose must stay, offsets must shrink, and frames and scales must not matter."""
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import product
 

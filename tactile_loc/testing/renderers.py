@@ -1,7 +1,5 @@
 """Checks for renderers: depths must follow from the geometry, and every view must look like the reference."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from functools import partial

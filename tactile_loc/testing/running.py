@@ -1,7 +1,5 @@
 """Functions that run the contract checks of a component without a test runner."""
 
-from __future__ import annotations
-
 import sys
 import time
 import traceback

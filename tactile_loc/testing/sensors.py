@@ -1,7 +1,5 @@
 """Checks for sensors: the geometry must be constant, and each observation is converted or refused."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from typing import Any

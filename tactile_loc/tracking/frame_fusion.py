@@ -1,7 +1,5 @@
 """Replays that use all images of a recording: a track, or one fused pose of an object at rest."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

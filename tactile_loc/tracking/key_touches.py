@@ -1,7 +1,5 @@
 """Key touches: a few touches of a sequence, at sensor poses far apart."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Sequence
 

@@ -1,7 +1,5 @@
 """The files of a replay: a recording with the poses, a CSV table, and a JSON file."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace

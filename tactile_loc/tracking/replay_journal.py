@@ -1,7 +1,5 @@
 """The journal of a replay: one line per finished frame, so that the same command resumes an interrupted replay."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager

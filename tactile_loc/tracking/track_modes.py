@@ -1,7 +1,5 @@
 """The possible poses of a tracked object: predicted from frame to frame, registered to each touch, and weighed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

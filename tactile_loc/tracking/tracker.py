@@ -9,8 +9,6 @@ explains a touch, the whole object is searched again. From time to time, key tou
 the track, to check it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Shaded pictures of posed meshes from an orthographic camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

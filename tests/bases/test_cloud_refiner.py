@@ -1,7 +1,5 @@
 """The base class of refiners that register clouds, tested with given registrations."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The poses that touch all sensors, on a grid large enough that contacts are checked in another order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from message_helpers import missing

@@ -1,7 +1,5 @@
 """Fixtures of the tests of the command line. Most of them save white pictures, for speed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

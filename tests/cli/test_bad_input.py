@@ -1,7 +1,5 @@
 """Bad input gives one sentence and exit code 2, without a traceback or unfinished files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`tactile-loc calibrate FOLDER`: from photos of presses to a sensor that locates an object in a photo."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

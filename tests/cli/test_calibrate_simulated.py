@@ -1,7 +1,5 @@
 """`tactile-loc calibrate --simulated`: a sensor calibrated on simulated presses."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`tactile-loc calibrate FOLDER --ball-radius MM`: from unlabelled images to a sensor."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Shell completion, through the requests that the shells make."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

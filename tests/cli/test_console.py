@@ -1,7 +1,5 @@
 """Tables are aligned. Progress bars show the notes of the running task and vanish when it ends."""
 
-from __future__ import annotations
-
 from tactile_loc_cli import console
 from tactile_loc_cli.console import Bars, Lines, complain, name_flags, say_table, write_flags
 

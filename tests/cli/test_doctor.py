@@ -1,7 +1,5 @@
 """doctor reports working and broken parts, and never raises."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

@@ -1,7 +1,5 @@
 """`tactile-loc evaluate`: what `run` answers, from simulated and own touches."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

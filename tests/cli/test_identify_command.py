@@ -1,7 +1,5 @@
 """`tactile-loc identify`: from a folder of meshes and touches to a name, a table and an exit code."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

@@ -1,7 +1,5 @@
 """--json: stdout contains exactly one document, also when the command fails."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The learned encoder from the command line: reproducible tables, and errors when it cannot learn."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import shutil

@@ -1,7 +1,5 @@
 """`tactile-loc live`: one line per frame, a web page while it runs, and one sentence if the source fails."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

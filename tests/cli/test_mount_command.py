@@ -1,7 +1,5 @@
 """`tactile-loc mount`: from a list of touches to a mount file that `run` uses; bad lists are one sentence."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`tactile-loc new-plugin`: the written package works, passes its tests and is found; bad names are errors."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

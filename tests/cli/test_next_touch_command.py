@@ -1,7 +1,5 @@
 """`tactile-loc next-touch`: from a result and a list of approaches to a table, a file and a picture."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

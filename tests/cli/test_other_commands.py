@@ -1,7 +1,5 @@
 """The commands build, simulate, objects and plugins, and the options --version and --help."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactile-loc paper`: the errors that the paper reports, from one touch and by number of contacts."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

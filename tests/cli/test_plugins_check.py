@@ -1,7 +1,5 @@
 """`tactile-loc plugins SLOT NAME --check`: contracts checked from the command line."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """docs/cli.md matches the program."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`tactile-loc replay`: poses from a simulated recording, in files that another library reads."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """`tactile-loc report`, and `run --report`."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Interruptions, several processes at once, full disks and damaged stores."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

@@ -1,7 +1,5 @@
 """`tactile-loc run`, from touch to files."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

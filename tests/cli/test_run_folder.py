@@ -1,7 +1,5 @@
 """`tactile-loc run --touch FOLDER`."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections import Counter

@@ -1,7 +1,5 @@
 """`tactile-loc run` with a list of touches, and with a prior."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactile-loc simulate --images`: camera images beside the contact shapes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

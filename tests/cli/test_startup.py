@@ -1,7 +1,5 @@
 """The command starts quickly: heavy libraries are imported only when they are needed."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

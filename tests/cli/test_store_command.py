@@ -1,7 +1,5 @@
 """The commands `store list`, `store size` and `store prune`."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

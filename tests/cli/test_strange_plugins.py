@@ -1,7 +1,5 @@
 """Third-party components and commands: missing libraries, failures, and equal names."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

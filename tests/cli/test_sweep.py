@@ -1,7 +1,5 @@
 """`tactile-loc sweep`."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The options -v, -vv and -q before and after the command, and the messages of unexpected errors."""
 
-from __future__ import annotations
-
 import logging
 import re
 import sys

@@ -1,7 +1,5 @@
 """A touch is ambiguous if, and only if, a distant pose makes the same contact."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

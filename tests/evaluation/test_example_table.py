@@ -1,7 +1,5 @@
 """The table of examples, and rows written as text and as Parquet."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

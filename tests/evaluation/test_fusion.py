@@ -1,7 +1,5 @@
 """Several contacts on a coarse grid: the effect of each further contact, and resuming with the same results."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from message_helpers import naming

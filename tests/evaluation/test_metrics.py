@@ -1,7 +1,5 @@
 """The metrics of an answer, against values known by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tables of the paper's protocol agree in Markdown, CSV and JSON."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Known metrics of known posteriors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """The protocol on a coarse grid: relations between the lines of every touch, and resuming with the same results."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

@@ -1,7 +1,5 @@
 """Touches of a robot: the object's pose, refused presses, and errors of sensor poses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """The pose error of a fault on the reference part: small without faults, larger with a mirrored image."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from press_sets import TINY, ball_set

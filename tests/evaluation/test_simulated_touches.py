@@ -1,7 +1,5 @@
 """The touches of an evaluation are always the same, as shapes and as images of the same poses."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import logging

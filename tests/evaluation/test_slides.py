@@ -1,7 +1,5 @@
 """A slide's true poses and presses agree: at its true pose, the object presses the gel by the stated press."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

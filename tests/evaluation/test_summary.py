@@ -1,7 +1,5 @@
 """Recall, averages, verdicts and reliability, against values counted by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

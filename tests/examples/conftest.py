@@ -1,7 +1,5 @@
 """The example modules import each other by name, as when run.py starts them."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

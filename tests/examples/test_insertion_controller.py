@@ -1,7 +1,5 @@
 """examples/insertion: decisions, placements and trials, with fake results."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """examples/insertion: the engine's scene, grasps and insertions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

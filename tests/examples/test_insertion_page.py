@@ -1,7 +1,5 @@
 """docs/stories.md shows the controller and the table of the kept trials; its commands exist."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

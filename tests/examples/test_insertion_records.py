@@ -1,7 +1,5 @@
 """examples/insertion: records are kept, read again, completed after an interruption, and summarised."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """examples/insertion: the convex pieces of parts and holes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """examples/insertion: the video's files, and how MuJoCo draws without a display."""
 
-from __future__ import annotations
-
 import os
 from types import SimpleNamespace
 

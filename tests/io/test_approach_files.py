@@ -1,7 +1,5 @@
 """Lists of approaches: poses in either frame, and one sentence for each error."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from message_helpers import naming

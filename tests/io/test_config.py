@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from message_helpers import naming
 from pydantic import ValidationError

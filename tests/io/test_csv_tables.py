@@ -1,7 +1,5 @@
 """Tables from CSV files: the rows, the columns, and the errors of the caller's class."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

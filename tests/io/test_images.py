@@ -1,7 +1,5 @@
 """Pictures: the colours of photos, whatever way they are stored, and pictures that are no photos."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

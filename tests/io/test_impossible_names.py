@@ -1,7 +1,5 @@
 """Impossible file names, and paths that are not files, are refused like missing files."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

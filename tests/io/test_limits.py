@@ -1,7 +1,5 @@
 """The memory that readers take for small files that unpack to, or claim, far more than the limits."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -1,7 +1,5 @@
 """Mount files: a written mount is read back, a pose from a drawing is enough, and wrong keys are named."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A prior's file, in mm and degrees, becomes the prior that it describes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Written sensor files are read as the same sensor; the tests of the `file` sensor read files written by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 import tomllib
 

@@ -1,7 +1,5 @@
 """Pictures of contact shapes: the colour scale, pixels without contact, and pixels that the sensor does not see."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """TOML: poses in millimetres, degrees and quaternions become (4, 4) metres; a configuration is written."""
 
-from __future__ import annotations
-
 import math
 import os
 import tomllib

@@ -1,7 +1,5 @@
 """Touches listed in a file: files and sensors in its folder, poses in metres, and errors that name touch and row."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A localizer can be pickled, and several threads or processes may locate with it."""
 
-from __future__ import annotations
-
 import multiprocessing
 import pickle
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """An object is located with a curved gel as well as with a flat one, but not if the gel is taken for flat."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

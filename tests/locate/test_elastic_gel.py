@@ -1,7 +1,5 @@
 """Locating with an elastic gel: touches that another program has drawn are located."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

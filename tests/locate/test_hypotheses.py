@@ -1,7 +1,5 @@
 """Hypotheses that refinement brings together are merged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Identification finds the right object in any order, rejects an unknown one, and locates a single one."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

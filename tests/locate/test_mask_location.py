@@ -1,7 +1,5 @@
 """Location by the outline of contact, with touches from another renderer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

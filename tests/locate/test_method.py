@@ -1,7 +1,5 @@
 """What refines poses: the note on the tasks of the joint registration, and the record of a result."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

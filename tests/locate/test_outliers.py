@@ -1,7 +1,5 @@
 """Touches that contradict the others are named, and can be left out."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

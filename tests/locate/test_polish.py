@@ -1,7 +1,5 @@
 """Photos of touches: poses are polished sideways, and the likeliest law of the gel is used."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

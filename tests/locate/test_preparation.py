@@ -1,7 +1,5 @@
 """After its preparation, a localizer neither compiles nor opens files: one or several touches, sensors, and tracks."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Several touches of one object, by sensors at known poses."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Objects whose surface and symmetry the store keeps."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

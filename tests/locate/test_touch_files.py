@@ -1,7 +1,5 @@
 """Touches from paths, and the table of their results."""
 
-from __future__ import annotations
-
 import csv
 import os
 from pathlib import Path

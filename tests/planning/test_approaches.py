@@ -1,7 +1,5 @@
 """Approaches from random directions start clear of the object, and meet it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from planning_helpers import GEL, modes_of

@@ -1,7 +1,5 @@
 """A finger hits what is in its way, and nothing else."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import nullcontext
 

@@ -1,7 +1,5 @@
 """Mounts are found among wrong hypotheses, up to symmetry; outliers and poor motions are named."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

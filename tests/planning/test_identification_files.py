@@ -1,7 +1,5 @@
 """The document of an identification, its next touch, and the objects that explain the touches as well."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The next step names the press beside the touch that distinguishes the poses, or the verdict's own step."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from planning_helpers import join_boxes

@@ -1,7 +1,5 @@
 """The next touch distinguishes the poses if a touch can, and respects reach and cost."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

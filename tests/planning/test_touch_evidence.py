@@ -1,7 +1,5 @@
 """Expected evidence equals that of contacts, and that of an elastic gel only where it touches."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plugins are installed offline into a folder, and Python processes see them there."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The contributed plugins: each builds, installs, passes its own tests, and uses only the public API."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

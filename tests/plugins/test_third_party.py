@@ -1,7 +1,5 @@
 """A third-party plugin is built and installed as a user does it; it is found, used, excluded and documented."""
 
-from __future__ import annotations
-
 import json
 import re
 from functools import partial

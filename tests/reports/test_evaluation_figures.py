@@ -1,7 +1,5 @@
 """Figures of evaluations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from report_helpers import CONTACTS, make_contact_table, make_recall_runs, make_touch_table

@@ -1,7 +1,5 @@
 """The pages of evaluations agree with their JSON."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

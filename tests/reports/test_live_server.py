@@ -1,7 +1,5 @@
 """The view of a live run: permitted requests, answers, and the state of a frame."""
 
-from __future__ import annotations
-
 import json
 import socket
 import threading

@@ -1,7 +1,5 @@
 """The page of an evaluation of what `run` answers agrees with its JSON."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -3,8 +3,6 @@
 The page of a live run requests only its own server.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A distribution over poses, for pictures: over the object's surface, and over rotations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

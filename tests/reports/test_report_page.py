@@ -1,7 +1,5 @@
 """The skeleton of the page: one file, no external resource, and no user text as markup."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """The small pictures of a run's page."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re

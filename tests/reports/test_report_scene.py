@@ -1,7 +1,5 @@
 """The scene of a run's page."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from report_helpers import floats

@@ -1,7 +1,5 @@
 """A path names one result."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

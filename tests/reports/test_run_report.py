@@ -1,7 +1,5 @@
 """The page of a run agrees with result.json."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

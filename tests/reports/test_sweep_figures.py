@@ -1,7 +1,5 @@
 """The two figures of a sweep."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from message_helpers import naming

@@ -1,7 +1,5 @@
 """The page of a sweep agrees with its rows, for any columns."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Pages of identifications, next touches, mounts and folders of touches."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

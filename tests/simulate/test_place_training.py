@@ -1,7 +1,5 @@
 """Training on places: touches get the label and yaw of the nearest place, and decoys get other yaws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Touches of one object at rest: one pose in the base frame, and pairs of fingers that face each other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

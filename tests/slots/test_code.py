@@ -1,7 +1,5 @@
 """Hashes of code: what a component's hash covers, and what it does not depend on."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

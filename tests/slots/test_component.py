@@ -1,7 +1,5 @@
 """Every capability is read by code outside the class that declares it."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 from collections.abc import Iterator

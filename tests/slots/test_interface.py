@@ -1,7 +1,5 @@
 """Plugins written for another version of the interface are refused in one sentence."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Helpers for tests of the store: a stage of five pieces, and functions to inspect and damage its files."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

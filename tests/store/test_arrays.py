@@ -1,7 +1,5 @@
 """Arrays in .npy and .npz files are read unchanged, and files with wrong headers or other contents are refused."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that grow by lines hold whole lines only, after any interruption."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

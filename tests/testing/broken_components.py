@@ -1,7 +1,5 @@
 """Components that break one contract each: BROKEN pairs each check or property with a component that it must notice."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every built-in component keeps every contract."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache

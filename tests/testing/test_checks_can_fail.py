@@ -1,7 +1,5 @@
 """Each check and property notices a component that breaks its contract, and reports it in one sentence."""
 
-from __future__ import annotations
-
 import dataclasses
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The contract checks of commands: the built-in commands pass, and each check can fail."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Draws of properties are always the same, and a failing case is named."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

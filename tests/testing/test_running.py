@@ -1,7 +1,5 @@
 """Checks without a test runner: the result of each, for any error of a component."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All images of a replay together: one pose of an object at rest, or a track."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The search of a track: touches far apart are its keys; its result is that of locating them together."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

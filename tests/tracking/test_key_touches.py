@@ -1,7 +1,5 @@
 """Key touches are far apart, few, in order, and those with the most contact."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Live frames: located, tracked, without contact or refused, each with a record."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A pose through motions and touches: the transport is exact, and common errors limit the certainty."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A recording, located frame by frame: poses in the sensor's or the base's frame, and other images."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import os

@@ -1,7 +1,5 @@
 """Modes of a track: predicted with the sensor, registered to a touch, and slipped to poses nearby."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A track: held while the sensor slides, up to symmetry; lost and found after a jump; predicted without contact."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 

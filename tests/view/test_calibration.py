@@ -1,7 +1,5 @@
 """Pictures of a calibration: the circle of one photo, and the reading of one held-out photo."""
 
-from __future__ import annotations
-
 import pytest
 from press_sets import BALL_M, ball_set
 

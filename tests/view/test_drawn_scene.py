@@ -1,7 +1,5 @@
 """The scene that all viewers draw is the same in the sensor's and in the base's frame."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The picture of one touch alone beside all touches states both verdicts and the errors, and labels every sensor."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,5 @@
 """The shared colours: verdicts can be read and told apart, and a figure changes its paper and its ink."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rerun files, read back by Rerun itself."""
 
-from __future__ import annotations
-
 import os
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`tactile-loc mount`: find where the sensor is mounted on the robot's flange."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any

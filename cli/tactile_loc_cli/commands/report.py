@@ -1,7 +1,5 @@
 """`tactile-loc report`: show a result as one HTML file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

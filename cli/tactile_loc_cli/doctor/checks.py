@@ -1,7 +1,5 @@
 """The checks of doctor. Trials that may crash or hang run in separate processes."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

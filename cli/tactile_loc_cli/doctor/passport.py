@@ -1,7 +1,5 @@
 """The checks of a calibrated sensor: their table and their page."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ A trial prints its facts as one line of JSON, with a text for users under "says"
 as the last line of stderr.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import shutil

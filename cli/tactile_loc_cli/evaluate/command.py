@@ -1,7 +1,5 @@
 """`tactile-loc evaluate`: measure what `run` answers."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from tactile_loc.store.files import require_writable

@@ -1,7 +1,5 @@
 """The local web page of tactile-loc: its command, its sessions, its view and its server."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import CommandSpec, hookimpl
 
 

@@ -1,7 +1,5 @@
 """One visitor's calibration of a sensor: the uploaded photos, and the sensor that is made from them."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from dataclasses import dataclass

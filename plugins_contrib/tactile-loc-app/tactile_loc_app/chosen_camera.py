@@ -1,7 +1,5 @@
 """The camera, video or folder of images from which a visitor takes frames."""
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactile-loc app`: press a virtual finger and locate an object on a local web page."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from collections.abc import Iterator

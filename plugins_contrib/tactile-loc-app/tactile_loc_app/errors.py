@@ -1,7 +1,5 @@
 """The error of the page."""
 
-from __future__ import annotations
-
 from tactile_loc import TactileLocError
 
 

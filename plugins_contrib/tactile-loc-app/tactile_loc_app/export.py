@@ -1,7 +1,5 @@
 """The files of a located object: the result, its report, and a Python script that computes the result again."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 from pathlib import Path

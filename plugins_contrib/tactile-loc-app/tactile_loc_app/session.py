@@ -1,7 +1,5 @@
 """One visitor's work on the page, without the page: an object, a sensor, a virtual finger, touches and a result."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import shutil

@@ -1,7 +1,5 @@
 """Localizers that the sessions of a page share. The model of a localizer is built only once."""
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from collections.abc import Iterator

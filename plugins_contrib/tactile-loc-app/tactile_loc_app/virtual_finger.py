@@ -1,7 +1,5 @@
 """A virtual finger: a sensor that is pressed on an object at rest, whose frame is the base frame."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 

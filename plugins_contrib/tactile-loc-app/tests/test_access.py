@@ -1,7 +1,5 @@
 """Which requests a local server answers: its own names and pages, and the token of a server that others reach."""
 
-from __future__ import annotations
-
 import socket
 from email.message import Message
 

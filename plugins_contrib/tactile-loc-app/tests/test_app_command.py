@@ -1,7 +1,5 @@
 """`tactile-loc app` serves its page on this machine until Ctrl-C: the commands of docs/app.md."""
 
-from __future__ import annotations
-
 import signal
 from urllib.request import urlopen
 

@@ -1,7 +1,5 @@
 """The benchmark of the page drags the finger along the object, and measures updates of the real view."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A visitor calibrates a sensor from uploaded photos of a ball, and locates with photos of this sensor."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The camera of a visitor: which source a text means, and what happens after an error."""
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

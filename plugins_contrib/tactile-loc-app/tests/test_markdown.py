@@ -1,7 +1,5 @@
 """Names and messages are shown literally: no HTML, link or picture, and no other way to write Markdown on the page."""
 
-from __future__ import annotations
-
 import ast
 import html
 import re

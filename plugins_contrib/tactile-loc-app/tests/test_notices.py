@@ -1,7 +1,5 @@
 """Notifications: errors and warnings in the words of the page, each to the visitor who caused it."""
 
-from __future__ import annotations
-
 import logging
 import threading
 

@@ -1,7 +1,5 @@
 """The card over the view: the verdict's colour and sentence, the remaining time, and texts shown literally."""
 
-from __future__ import annotations
-
 import time
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The page's server: who is answered, uploads by their stated size, and what visitors leave behind."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The state behind the page: objects, presses, touches, results, and the independence of two visitors."""
 
-from __future__ import annotations
-
 import json
 import runpy
 from pathlib import Path

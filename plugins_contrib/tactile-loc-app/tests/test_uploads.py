@@ -1,7 +1,5 @@
 """Uploaded files and archives: limits, names, damaged archives, and paths that lead out of them."""
 
-from __future__ import annotations
-
 import io
 import stat
 import zipfile

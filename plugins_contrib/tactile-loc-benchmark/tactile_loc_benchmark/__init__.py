@@ -1,7 +1,5 @@
 """A benchmark for tactile-loc: suites of objects and touch sources, on which any method locates the objects."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import CommandSpec, ComponentSpec, hookimpl
 from tactile_loc.plugin.helpers import ComponentKind
 

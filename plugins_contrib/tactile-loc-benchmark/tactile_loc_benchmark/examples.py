@@ -1,7 +1,5 @@
 """Examples of a suite: touches of one object at rest, drawn by a source and read by its sensor, with known poses."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The files of a benchmark: benchmark.json and .md, leaderboard.json, rows.parquet, pictures, and the files of BOP."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ A source prepares a sensor, for instance by calibrating it on images of the sour
 this sensor, or reads recorded touches. A method gets touches of one object, and returns poses with scores.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Leaderboard files: results of a benchmark without poses and paths, to compare them with those of other people."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

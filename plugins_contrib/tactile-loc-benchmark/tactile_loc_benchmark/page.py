@@ -1,7 +1,5 @@
 """The HTML report of a benchmark: tables, plots, and an example touch of each source."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """What a benchmark prepares before its jobs: objects, sources with their sensors, and methods."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The results of a benchmark, as its files state them: sources, methods, rows and failures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property

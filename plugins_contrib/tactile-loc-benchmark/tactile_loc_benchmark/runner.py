@@ -1,7 +1,5 @@
 """A benchmark run: it prepares the sensors, does the missing jobs, and keeps the rows of every finished job."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import platform

@@ -4,8 +4,6 @@ The first pose is random, as in `RobotTouches`. From there, the sensor moves wit
 smoothly changing press. It reverses before it loses contact or hits a wall.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

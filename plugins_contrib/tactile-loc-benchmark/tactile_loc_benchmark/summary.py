@@ -1,7 +1,5 @@
 """Summaries of a benchmark's rows, with bootstrap intervals: one for each source, method and number of touches."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

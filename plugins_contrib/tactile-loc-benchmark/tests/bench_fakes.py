@@ -1,7 +1,5 @@
 """A distribution with small, fast sources and methods for tests of the benchmark."""
 
-from __future__ import annotations
-
 import importlib
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The components of bench_fakes. They press a box on a sensor with few pixels."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small sources and methods, a suite of them, and workers in this process."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

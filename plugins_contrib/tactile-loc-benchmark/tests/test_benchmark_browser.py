@@ -1,7 +1,5 @@
 """The page of a benchmark in a browser without a network: its plots show the chosen groups."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every source and method keeps its contract, and each check notices a component that breaks it."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

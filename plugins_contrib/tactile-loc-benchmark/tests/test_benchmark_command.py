@@ -1,7 +1,5 @@
 """`tactile-loc benchmark`."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Examples: the same presses for all sources, true poses in a random base frame, and refused presses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tactile_loc import StageStore

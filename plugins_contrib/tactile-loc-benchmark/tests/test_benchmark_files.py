@@ -1,7 +1,5 @@
 """The files of a benchmark, and leaderboard files."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """The report of a benchmark agrees with its rows."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Summaries: shares and intervals agree with what is known analytically."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

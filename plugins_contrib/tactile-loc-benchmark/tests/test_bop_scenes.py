@@ -1,7 +1,5 @@
 """The files of BOP agree with the rows of a benchmark."""
 
-from __future__ import annotations
-
 import csv
 import json
 

@@ -1,7 +1,5 @@
 """The pages on benchmarks: the leaderboard matches its files, and the method of the page is a method."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

@@ -1,7 +1,5 @@
 """The sources with an elastic gel agree with the mechanics of tactile-loc, and with formulas."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Sources of images: their balls, their poses, and the sensors that are calibrated on them."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path

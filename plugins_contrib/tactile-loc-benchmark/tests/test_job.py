@@ -1,7 +1,5 @@
 """A job: a method locates examples without the truth, and its answers are measured."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from message_helpers import naming

@@ -1,7 +1,5 @@
 """The held-out parts in the package are those that the script draws, and any direction of touch makes sense."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

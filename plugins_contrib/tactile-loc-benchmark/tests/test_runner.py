@@ -1,7 +1,5 @@
 """A run: failures, missing libraries, interruptions, and what makes a job new."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """A sensor slides and rotates over an object: in contact, smoothly, and with the stated pose error."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tactile_loc.core.geometry.rigid import invert, rotation_angle

@@ -1,7 +1,5 @@
 """Suites: reading, selecting, and one clear sentence for each mistake."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

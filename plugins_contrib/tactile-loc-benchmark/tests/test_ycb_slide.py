@@ -1,7 +1,5 @@
 """The reader of YCB-Slide, on a small replica: poses, chosen frames, and refused files."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 

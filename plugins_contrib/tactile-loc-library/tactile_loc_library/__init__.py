@@ -1,7 +1,5 @@
 """Libraries of parts for tactile-loc: which of thousands of parts was touched, and where it is."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import CommandSpec, hookimpl
 
 

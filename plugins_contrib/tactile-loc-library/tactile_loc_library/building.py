@@ -4,8 +4,6 @@ A finished record waits in the folder WAITING of the library, in a file that is 
 record was made from. So a killed build continues where it ended, and the order of the jobs does not matter.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import closing, suppress

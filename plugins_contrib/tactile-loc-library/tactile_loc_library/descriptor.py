@@ -6,8 +6,6 @@ polar features of contact shapes: heights on rings around the place, on ramps of
 contact shifts the features along the angles.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from functools import cache

@@ -5,8 +5,6 @@ of these. Without them, a part may seem to be the touched one only because its m
 best parts are located and weighed, as `tactile_loc.identify` does for a few objects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The fit of `NullEvidence` to touches of known parts, and of parts that were left out of the library."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

@@ -9,8 +9,6 @@ The votes read only the descriptors, which are mapped from the disk. A part's re
 The parts used last stay in memory.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

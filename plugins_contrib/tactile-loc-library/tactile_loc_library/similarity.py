@@ -4,8 +4,6 @@ Sums of whole numbers do not depend on the order of the terms. So a similarity h
 this module, and on every machine.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc.plugin.helpers import njit, run_in_threads

@@ -1,7 +1,5 @@
 """Six small parts as meshes, and a library of them with few directions."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Helpers for tests of libraries: a grid with few directions, and the content of a library's files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tactile_loc_library.record import PlaceGrid

@@ -1,7 +1,5 @@
 """Libraries are built part by part: bad meshes, what is kept, interruptions, and equal bytes in any order."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

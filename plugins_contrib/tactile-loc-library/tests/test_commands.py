@@ -1,7 +1,5 @@
 """`tactile-loc library`: building, adding, removing, checking, listing and identifying parts."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tests of the descriptor: another implementation of its networks, yaws, and touches drawn exactly."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Libraries on disk: changes, readers during changes, damage, and interrupted changes."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The fit of "none of these" to touches of known and of left-out objects."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tactile_loc_library.null_fit import KnownAnswer, fit_null_evidence

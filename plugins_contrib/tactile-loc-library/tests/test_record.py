@@ -1,7 +1,5 @@
 """Records of parts: packing, and what they hold; and the table of parts, as Parquet."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import struct

@@ -1,7 +1,5 @@
 """The parts of a library are compared, searched and identified as localizers of their meshes are located."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 from pathlib import Path

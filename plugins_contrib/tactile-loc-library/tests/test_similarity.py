@@ -1,7 +1,5 @@
 """Similarities are sums of whole numbers, and those of parts are the greatest ones of their places."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

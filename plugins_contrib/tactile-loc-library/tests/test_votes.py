@@ -3,8 +3,6 @@
 A shortlist chooses the same objects from upper bounds as from the log-likelihoods of all.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An encoder for tactile-loc that describes the distances to the contact's outline with a few dozen numbers."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import ComponentSpec, hookimpl
 
 

@@ -1,7 +1,5 @@
 """Signed distance to the outline of a mask."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

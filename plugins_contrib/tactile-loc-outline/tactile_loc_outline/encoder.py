@@ -1,7 +1,5 @@
 """The outline encoder: the low frequencies of a map of signed distances to the contact's outline."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field

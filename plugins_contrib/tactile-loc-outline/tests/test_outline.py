@@ -1,7 +1,5 @@
 """The encoder keeps every contract of its slot, and embeddings have the same distances as their maps."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The robot's frames from TF, as they arrive. This module does not import ROS."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The images that wait for their sensor's pose, which may arrive later than the image. This module imports no ROS."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass

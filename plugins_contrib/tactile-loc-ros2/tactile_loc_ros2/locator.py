@@ -1,7 +1,5 @@
 """Locating the object in image messages, each image separately or as a track. This module does not import ROS."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """ROS messages made from poses and results. This module does not import ROS: it is given the message types."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

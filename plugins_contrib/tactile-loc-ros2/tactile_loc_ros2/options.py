@@ -1,7 +1,5 @@
 """The node's options: each is a ROS parameter and an option of the command line. This module does not import ROS."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields

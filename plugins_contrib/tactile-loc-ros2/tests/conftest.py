@@ -1,7 +1,5 @@
 """Fixtures: real ROS 2 message types from rosbags, a localizer that is built fast, and images of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields
 from functools import cache, partial

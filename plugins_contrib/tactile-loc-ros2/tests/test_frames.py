@@ -1,7 +1,5 @@
 """The live frame tree, filled from serialised TFMessages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tactile_loc import TactileLocError

@@ -1,7 +1,5 @@
 """Images that wait for their sensor's pose."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tactile_loc import TactileLocError

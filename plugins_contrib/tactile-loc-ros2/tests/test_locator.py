@@ -1,7 +1,5 @@
 """Locating images: encodings of real Image and CompressedImage messages, errors, press depths, and tracks."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from io import BytesIO

@@ -1,7 +1,5 @@
 """Messages: their fields after serialisation, the order of covariances, quaternions, stamps, and markers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tactile_loc import LocatedFrame, Verdict

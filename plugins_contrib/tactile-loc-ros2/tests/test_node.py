@@ -1,7 +1,5 @@
 """The node with substitutes for rclpy's node and services. Its messages are real types, serialised and read again."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

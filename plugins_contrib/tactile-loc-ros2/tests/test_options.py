@@ -1,7 +1,5 @@
 """Options: the command line, ROS arguments, defaults, and refused values."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

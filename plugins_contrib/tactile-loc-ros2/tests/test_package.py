@@ -1,7 +1,5 @@
 """The files that ROS 2 reads: package.xml, the parameter file, and the launch file."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

@@ -1,7 +1,5 @@
 """The touches that the services collect: what each service answers in each state."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

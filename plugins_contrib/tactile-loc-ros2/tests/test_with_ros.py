@@ -3,8 +3,6 @@
 Without rclpy, these tests are skipped.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """A refiner for tactile-loc: generalised ICP from the small_gicp library."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import ComponentSpec, hookimpl
 
 

@@ -1,7 +1,5 @@
 """Generalised ICP of a candidate's contact cloud to the touch's cloud, with small_gicp (Koide, JOSS 2024)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

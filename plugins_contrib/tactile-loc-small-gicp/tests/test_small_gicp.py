@@ -1,7 +1,5 @@
 """The refiner keeps every contract of its slot, undoes small displacements, and reports its iterations."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

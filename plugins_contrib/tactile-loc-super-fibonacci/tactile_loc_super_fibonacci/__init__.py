@@ -1,7 +1,5 @@
 """A pose grid for tactile-loc with any number of rotations, which lie on super-Fibonacci spirals."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import ComponentSpec, hookimpl
 
 

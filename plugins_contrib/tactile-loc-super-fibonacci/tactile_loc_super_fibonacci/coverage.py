@@ -3,8 +3,6 @@
 python -m tactile_loc_super_fibonacci.coverage
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The pose grid for a touch anywhere on the object: each super-Fibonacci rotation at each point of a planar lattice."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

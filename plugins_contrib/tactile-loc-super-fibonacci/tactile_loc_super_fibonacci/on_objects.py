@@ -3,8 +3,6 @@
 python -m tactile_loc_super_fibonacci.on_objects pin cotter hook
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 

@@ -4,8 +4,6 @@ Rotations follow M. Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampl
 the Fibonacci lattice of the sphere, which uses the same idea in one dimension less.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc.plugin.helpers import align_to_z, quaternion_to_rotation

@@ -1,7 +1,5 @@
 """The grid keeps every contract of its slot, covers the same poses as hopf, and takes any number of rotations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tactile_loc.plugin import GridError, ObjectModel, PoseGrid, SensorGeometry, TriangleMesh, registry

@@ -1,7 +1,5 @@
 """Rotations and directions follow the formulas, are valid and distinct, and are evenly spread."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tactile_loc.plugin.helpers import SymmetryGroup, is_rigid, make_transform, rotation_about, rotation_angle

@@ -1,7 +1,5 @@
 """An exact matcher for tactile-loc that uses torch, on a GPU if there is one."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import ComponentSpec, hookimpl
 
 

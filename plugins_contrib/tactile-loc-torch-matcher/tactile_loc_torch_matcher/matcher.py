@@ -1,7 +1,5 @@
 """The torch matcher: matrix products of the queries with chunks of the bank's rows, on a GPU if there is one."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import numpy as np

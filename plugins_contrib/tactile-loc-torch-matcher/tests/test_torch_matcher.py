@@ -1,7 +1,5 @@
 """The matcher keeps every contract of its slot with chunks of any size, and finds the same poses as dense."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The usearch matcher: the nearest rows of each query, found in a graph of neighbours (HNSW)."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 from tactile_loc.plugin import Capabilities, ComponentOptions, Float32, Matcher

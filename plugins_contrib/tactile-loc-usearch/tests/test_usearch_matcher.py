@@ -1,7 +1,5 @@
 """The matcher keeps every contract of its slot, and locates with the default grid like an exact matcher."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tactile_loc import Localizer

@@ -1,7 +1,5 @@
 """A tree of frames with the transforms between them over time, as in ROS's TF."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from dataclasses import dataclass, field
 

@@ -6,8 +6,6 @@ the Kronecker product", 2013). Weighted Gauss-Newton steps on twists refine this
 z (m), then a rotation vector (rad).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ The functions of batches use numpy. Those with "one" in their names are the same
 write to given arrays, because allocation takes longer than the arithmetic.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

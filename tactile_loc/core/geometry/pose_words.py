@@ -1,7 +1,5 @@
 """Texts for a pose and its standard deviations, in millimetres and degrees."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 A transform is named ``T_target_source``: ``p_target = T_target_source @ p_source``.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

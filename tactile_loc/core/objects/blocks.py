@@ -1,7 +1,5 @@
 """Points or triangles in blocks of neighbours. A sphere bounds each block, so that far blocks can be skipped."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

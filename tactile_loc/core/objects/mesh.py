@@ -1,7 +1,5 @@
 """The known object: its surface, its symmetry, and points on its surface."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property

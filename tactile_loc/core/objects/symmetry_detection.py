@@ -1,7 +1,5 @@
 """Detection of the rotations that map an object's surface onto itself, and verification of declared rotations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

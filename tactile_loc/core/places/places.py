@@ -7,8 +7,6 @@ patch, which is a height map of the surface around the place. A patch does not d
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Self
 

@@ -5,8 +5,6 @@ On a curved gel, the patch is seen along the gel's normal at the contact, like t
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

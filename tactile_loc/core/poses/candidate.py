@@ -1,7 +1,5 @@
 """Candidate poses, and refined poses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Square lattices of translations, and the range of translations that keep an object over the sensing rectangle."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -14,8 +14,6 @@ The largest displacement has kinks and several minima. In an interval of rolls, 
 sinusoids' minima. Intervals that could contain a better roll are halved, until none could be better by PRECISION_M.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

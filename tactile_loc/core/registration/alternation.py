@@ -5,8 +5,6 @@ leaves some motions open, and there its result keeps the error of its start. So 
 again, until it stays or ROUNDS are done.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Lengths are in mm. A twist (6,) is a rotation vector (rad), then a translation (
 touch's centre, in the frame of its sensor.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The observations of touches, in the form that the joint registration uses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple

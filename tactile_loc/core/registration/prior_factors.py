@@ -4,8 +4,6 @@ Near a pose, the log-weight of a prior is about -e^T L e / 2 plus a constant. Th
 the local peak of the prior, and L is the information. Where touches leave a pose open, the factor decides.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -7,8 +7,6 @@ sensor.
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

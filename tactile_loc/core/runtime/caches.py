@@ -1,7 +1,5 @@
 """A cache that keeps as many values as fit into a number of bytes, and the user's cache folder."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Hashable
 from pathlib import Path

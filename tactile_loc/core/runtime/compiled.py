@@ -6,8 +6,6 @@ busy loops, which slows down all other work. So do the threads of BLAS
 libraries, which are switched off while touches are located.
 """
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator

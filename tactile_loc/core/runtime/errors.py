@@ -1,7 +1,5 @@
 """All errors that a user can meet. A message states what is wrong, where, and what to do, in one or two sentences."""
 
-from __future__ import annotations
-
 import difflib
 import reprlib
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """Formatting for people: SI values as millimetres, percentages, bytes and seconds, and names as printable text."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 

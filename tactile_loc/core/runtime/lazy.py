@@ -1,7 +1,5 @@
 """Modules whose names are imported at their first use, and modules that are imported ahead of it."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import sys

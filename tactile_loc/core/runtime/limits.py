@@ -1,7 +1,5 @@
 """The largest inputs that are read. Readers check a file's header against them before they take memory."""
 
-from __future__ import annotations
-
 from typing import IO
 
 MOST_PIXELS, MOST_SIDE_PX = 2**25, 2**14  # largest image and image side; no camera behind a gel takes larger images

@@ -1,7 +1,5 @@
 """Base class for the options of components."""
 
-from __future__ import annotations
-
 from pydantic import BaseModel, ConfigDict
 
 

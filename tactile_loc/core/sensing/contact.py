@@ -14,8 +14,6 @@ are therefore sampled every STEP_M. For a gel of radius r, the error is at most 
 
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Depth maps and contact masks: what their values mean, their units, and maps with the opposite meaning."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from typing import Any, Literal, get_args

@@ -7,8 +7,6 @@ get more evidence than other poses that a search of the whole object finds. Then
 because the IoU distinguishes poses well in touches without noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

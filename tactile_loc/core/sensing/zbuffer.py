@@ -12,8 +12,6 @@ the weighted mean of the corners' depths.
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ the first touch's sensor, or the base frame. Lengths are in millimetres, also th
 belong.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

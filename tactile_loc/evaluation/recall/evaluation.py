@@ -1,7 +1,5 @@
 """Evaluation of what `run` answers: examples are located from 1 to N touches, and every listed pose is measured."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The results of the evaluation of what `run` answers, as tables, and as JSON in SI units."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """The combinations of a plan: their order, their keys, the stages that they need, and the jobs that evaluate them."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The comparison of two sweeps, for instance of two versions: which combinations became better, worse, or failed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ the effects of the parts of the term. In a full product these effects are orthog
 Sobol 1993), so the mean squares of all terms add up to the variance of m.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

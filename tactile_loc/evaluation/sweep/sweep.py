@@ -1,7 +1,5 @@
 """A sweep: it evaluates the missing combinations, and keeps every finished row."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter

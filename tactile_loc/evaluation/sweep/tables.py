@@ -3,8 +3,6 @@
 Other commands read sweep.json.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence

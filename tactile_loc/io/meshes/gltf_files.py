@@ -1,7 +1,5 @@
 """Reads glTF 2.0 files (.gltf and .glb) as triangles in metres: registry.khronos.org/glTF/specs/2.0/glTF-2.0.html."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """Reads mesh files as ObjectModels: formats, units and symmetry. trimesh is imported when a file is read."""
 
-from __future__ import annotations
-
 import logging
 import os
 import threading

@@ -1,7 +1,5 @@
 """Reads STL, OBJ, OFF and PLY files, whose faces may be polygons."""
 
-from __future__ import annotations
-
 import codecs
 import re
 from collections.abc import Sequence

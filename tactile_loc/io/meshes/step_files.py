@@ -1,7 +1,5 @@
 """Reads CAD files in the STEP format: OpenCASCADE, through cascadio, converts them to triangles in metres."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

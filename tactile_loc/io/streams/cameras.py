@@ -1,7 +1,5 @@
 """The cameras of this computer by names that stay the same when they are plugged in again. Linux names them so."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tactile_loc.core.runtime.errors import SourceError

@@ -4,8 +4,6 @@ A source yields either every frame, or the newest frame each time. In the second
 counted.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,7 +1,5 @@
 """Reads recordings of ROS topics (MCAP files, and bags of ROS 1 and 2), and writes MCAP files, without ROS."""
 
-from __future__ import annotations
-
 import bz2
 import os
 from collections import Counter

@@ -1,7 +1,5 @@
 """Shared parts of the JSON documents of results: reading, hashes, and versions of libraries."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import platform

@@ -1,7 +1,5 @@
 """Sensor poses from a CSV file: one row for each image, or for each time. docs/files.md describes the format."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Reads videos as images, with OpenCV or imageio, whichever is installed."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 from collections.abc import Iterator

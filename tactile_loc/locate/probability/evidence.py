@@ -4,8 +4,6 @@ They state how well the first pose explains the touches, how much worse other po
 large the touches are. The other poses are the best pose that is not within the tolerance of the first pose, and probes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

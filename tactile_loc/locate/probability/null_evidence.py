@@ -6,8 +6,6 @@ separately, because of noise. Noisier touches also lack more together, even on t
 simulated touches of parts, which were left out of libraries of 3 to 300 parts. The touches were clean or mildly noisy.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ or none is. A second, linear model (quantile regression; Koenker and Bassett 197
 pose leaves unexplained at most, given the noise that the touch shows. `benchmarks/outcomes.py` fits both again.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ The covariance of a refined pose is only as good as its model of noise. Probes a
 other poses are, so they show what the touches leave open: a turn of a shaft, or a slide of a rail.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ this error in common, but their product counts the error once per touch. So the 
 power N**-SHARED. The poses that are found are compared with the touches in another way: see `evidence`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Doubts about a result, shown as warnings on the terminal, in reports and in tables of many touches."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tactile_loc.locate.result.localization import Localization

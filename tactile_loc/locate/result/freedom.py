@@ -4,8 +4,6 @@ Motions are those of the object, along and about the axes of its own frame. A tu
 where it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

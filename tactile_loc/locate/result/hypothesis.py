@@ -1,7 +1,5 @@
 """The parts of a result: hypotheses about the object's pose, and the agreement of several touches."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

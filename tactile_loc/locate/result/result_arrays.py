@@ -3,8 +3,6 @@
 The file has plain arrays and JSON texts. Nothing is pickled.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """A result as HTML, the form in which notebooks display it: the verdict, the touches, and a table of hypotheses."""
 
-from __future__ import annotations
-
 import base64
 import html
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 Each function turns a part of a result into its document, or back. `Localization` puts the parts together.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

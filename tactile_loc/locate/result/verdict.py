@@ -1,7 +1,5 @@
 """The verdict on a located touch: one word with the same meaning in runs, tracks, live frames, recordings and ROS."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -5,8 +5,6 @@ similar places are registered to the touch, rendered, and compared with the touc
 and their imprint IoUs.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary

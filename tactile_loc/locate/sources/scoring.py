@@ -1,7 +1,5 @@
 """Scores of a grid's poses: a touch and the poses' contact shapes are encoded, then matched."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from threading import Lock
 from typing import Any, NamedTuple

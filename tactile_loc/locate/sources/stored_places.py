@@ -1,7 +1,5 @@
 """An object's places, stored without loss in a sixth of their size, and their embeddings, built at first use."""
 
-from __future__ import annotations
-
 from functools import cached_property, partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The paper's baseline: contact shapes are binarised, averaged to coarse cells, and compared cell by cell."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The paper's baseline for several touches. It uses the fact that each sensor is in contact, but no contact shape."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

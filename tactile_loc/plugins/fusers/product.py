@@ -1,7 +1,5 @@
 """The product of the touches' probabilities and the prior: equation 1 of the paper."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field

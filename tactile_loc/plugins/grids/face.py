@@ -1,7 +1,5 @@
 """Poses of an object that is pressed with one face: x, y and yaw, with optional small tilts."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any

@@ -12,8 +12,6 @@ is the surface's root mean square distance from the axis. The spin axis is the o
 The steps of spins and of directions are the angles that move the surface by one spacing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ can equally low pixels along edges and on faces. Translations and yaws are read 
 density of directions therefore determines the pose error before refinement.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

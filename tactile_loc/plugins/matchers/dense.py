@@ -1,7 +1,5 @@
 """Exact matching with every row of the bank: one matrix product, or two if queries have weights."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin.helpers import ExactMatcher
 
 

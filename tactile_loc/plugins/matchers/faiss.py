@@ -1,7 +1,5 @@
 """Matching with faiss: exact (flat), or approximate over a neighbour graph (hnsw) or inverted lists (ivf)."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Registers a candidate's contact cloud to the observed cloud by point-to-plane ICP (open3d)."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The joint refiner: registers one pose to all touches at once."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

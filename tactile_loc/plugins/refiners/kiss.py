@@ -7,8 +7,6 @@ Both clouds are sampled at pixels. If nearest neighbours are paired, two such la
 Therefore, each moving point is shifted along the surface by a different fraction of a pixel.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from kiss_icp.mapping import VoxelHashMap
 from kiss_icp.registration import Registration as KissRegistration

@@ -1,7 +1,5 @@
 """No refinement: the grid pose is returned unchanged."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import Candidate, Capabilities, RefinedPose, Refiner, Scene, Touch
 
 

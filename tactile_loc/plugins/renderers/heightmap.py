@@ -11,8 +11,6 @@ exactly, triangle by triangle.
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

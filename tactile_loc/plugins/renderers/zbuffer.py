@@ -1,7 +1,5 @@
 """Exact rendering by a z-buffer, triangle by triangle, without another library."""
 
-from __future__ import annotations
-
 from tactile_loc.plugin import Float32, Poses, Renderer, SensorGeometry, TriangleMesh
 from tactile_loc.plugin.helpers import draw_nearest_depths
 

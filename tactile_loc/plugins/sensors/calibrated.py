@@ -1,7 +1,5 @@
 """A calibrated sensor: reads tactile images with the folder that `tactile-loc calibrate` wrote."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

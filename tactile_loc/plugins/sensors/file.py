@@ -1,7 +1,5 @@
 """A sensor described by a TOML file. docs/files.md lists the keys, and examples/my_sensor.toml is an example."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

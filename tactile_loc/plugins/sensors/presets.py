@@ -1,7 +1,5 @@
 """Nominal sensors. Real sensors differ a little: for real work, measure your sensor and write a sensor file."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar
 

@@ -12,8 +12,6 @@ The origin of pixel coordinates is the image's upper left corner, so the first p
 is an image minus the image of the untouched gel: (H, W, 3) float32, counts of 255, with median 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache

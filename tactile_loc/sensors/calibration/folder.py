@@ -1,7 +1,5 @@
 """The calibration folder: a sensor's geometry, its untouched gel, the trained estimator, and its errors."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ The chosen frames show the untouched gel, and each touch at its deepest. They ar
 so that a table can name them.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

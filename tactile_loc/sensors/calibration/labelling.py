@@ -1,7 +1,5 @@
 """Labels for a folder or a video of presses: a table of the presses and a description of the sensor."""
 
-from __future__ import annotations
-
 import math
 import os
 from dataclasses import dataclass

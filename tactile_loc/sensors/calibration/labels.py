@@ -5,8 +5,6 @@ along x and y of the sensor frame, unitless. Labels for a pinhole camera are app
 that at the untouched surface.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Each layout has a function that looks at a folder or a file. It returns what it found, or None for another layout.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter

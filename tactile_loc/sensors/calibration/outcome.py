@@ -1,7 +1,5 @@
 """Calibrates a sensor: trains an estimator on most presses, and measures its errors on the others."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The table `presses.csv` of a folder of presses, and the sensor file beside it: see docs/sensor-labels.md."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

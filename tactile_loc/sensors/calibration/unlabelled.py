@@ -6,8 +6,6 @@ gel is composed from the other images, except their parts near imprints. The tra
 Marker dots on the gel are found in the median of the images, and filled in before imprints are looked for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 A photo from another time is corrected for the drift since: a shift of the gel, and a smooth change of the light.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

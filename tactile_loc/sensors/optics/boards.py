@@ -4,8 +4,6 @@ The idea is from Bauza et al. (CoRL 2020, appendix), but the shapes are differen
 middle of the plate's upper face. The x axis is along the plate's longer side, and z points out of the raised side.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import cast

@@ -1,7 +1,5 @@
 """Renders the camera's image of the gel's surface: normals, Lambert's law, gloss, lens and camera noise."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -6,8 +6,6 @@ blurs of decreasing width. After each blur, the contact is restored. Wide blurs 
 tail to the contact's edge. All widths are in metres on the sensing surface.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple

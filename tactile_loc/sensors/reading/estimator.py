@@ -3,8 +3,6 @@
 The estimators are `photometric` and `cnn`.
 """
 
-from __future__ import annotations
-
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping

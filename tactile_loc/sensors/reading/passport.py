@@ -4,8 +4,6 @@ The photos show presses at different places, so that together they show today's 
 untouched gel of the calibration. The scale and the contrast are judged from presses of a ball.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

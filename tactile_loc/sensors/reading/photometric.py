@@ -6,8 +6,6 @@ network and few presses are enough. Poisson integration gives the heights. The d
 the gel is untouched, and subtracted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 

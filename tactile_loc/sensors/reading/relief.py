@@ -9,8 +9,6 @@ Two things are learned together: a network from colours to slopes, and the gel's
 Colours do not determine the tilt of the whole surface, so the gel is assumed to be level in the middle of the image.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

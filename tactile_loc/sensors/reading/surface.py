@@ -1,7 +1,5 @@
 """Slopes of a surface, integration of slopes to a surface, and the gel's indentation."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frames over time: chains, both directions, interpolation, and errors for missing transforms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from message_helpers import naming

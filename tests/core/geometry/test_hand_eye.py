@@ -1,7 +1,5 @@
 """F_i X S_i = Y: the solution is exact without errors; with errors, its covariance fits the residuals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

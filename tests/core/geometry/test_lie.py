@@ -1,7 +1,5 @@
 """Twists, motions and pose errors are converted into each other; the compiled functions agree with those of batches."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

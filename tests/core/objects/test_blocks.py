@@ -1,7 +1,5 @@
 """Blocks hold neighbours: every item once, in blocks that are small and inside their spheres."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The nearest surface point, compared with the search of trimesh."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Modes merge with the most probable mode nearby, symmetric poses included."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pose errors, ADD and ADD-S, against values known by hand, and against all sampled symmetries."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Posteriors, their modes, and orders that rounding cannot change."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from message_helpers import naming

@@ -1,7 +1,5 @@
 """Priors equal their formulas in every frame, symmetry included."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tolerances: their texts, which poses are within them, and how far poses are."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

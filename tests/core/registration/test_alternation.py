@@ -1,7 +1,5 @@
 """Refiners of single touches refine poses to several touches: a face, an edge, and three touches of a block."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Estimates of single touches are combined by their information, as in closed form for Gaussians."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

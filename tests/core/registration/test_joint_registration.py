@@ -1,7 +1,5 @@
 """The joint registration of an object to several touches."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

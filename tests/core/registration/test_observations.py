@@ -1,7 +1,5 @@
 """The image of a touch: the nearest contact of each pixel, and the least height in each square of pixels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The factors of a prior in registration, fitted to the prior's values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Small equations are solved, also if they are singular."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

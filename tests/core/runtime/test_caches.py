@@ -1,7 +1,5 @@
 """A cache keeps the values used last within a number of bytes."""
 
-from __future__ import annotations
-
 from threading import Thread
 
 from tactile_loc.core.runtime.caches import ByteCache

@@ -1,7 +1,5 @@
 """Compiled code is reused until a kernel module changes. Damaged, concurrent and read-only caches are no problem."""
 
-from __future__ import annotations
-
 import ast
 import os
 import subprocess

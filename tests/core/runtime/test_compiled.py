@@ -1,7 +1,5 @@
 """Threads share the parts of a range, and errors in threads are raised."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np

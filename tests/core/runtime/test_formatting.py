@@ -1,7 +1,5 @@
 """Formatting of SI values and names for people."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """Modules imported ahead of their first use."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 

@@ -1,7 +1,5 @@
 """Contact with a spherical gel, compared with the formula of two spheres that touch."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

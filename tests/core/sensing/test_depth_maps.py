@@ -1,7 +1,5 @@
 """Depth maps of each kind give the same touch, and only maps with the opposite meaning are refused."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

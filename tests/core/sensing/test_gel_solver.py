@@ -1,7 +1,5 @@
 """The gel's mechanics, compared with formulas and with independent solvers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

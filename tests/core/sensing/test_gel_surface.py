@@ -1,7 +1,5 @@
 """What an elastic gel shows, and where it touches the object."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Scores of poses, and what they leave unexplained, for contacts of known size and depth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

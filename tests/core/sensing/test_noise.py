@@ -1,7 +1,5 @@
 """Each imperfection alone, compared with known values in metres on the surface."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import get_args

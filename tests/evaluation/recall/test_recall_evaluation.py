@@ -1,7 +1,5 @@
 """Evaluation of what `run` answers, on a coarse search: errors, verdicts, examples without a pose, and resuming."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Examples: simulated ones are reproducible, and those of touch files keep their poses and problems."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The tables, the JSON document and BOP's files of an evaluation agree with its results."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Small plans, a sweep with invented numbers, and a sensor with few pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

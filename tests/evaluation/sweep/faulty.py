@@ -1,7 +1,5 @@
 """A distribution whose refiners raise an error or kill their process; sweeps must survive both."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 HOOK = """

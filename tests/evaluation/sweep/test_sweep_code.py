@@ -1,7 +1,5 @@
 """A sweep with a refiner whose code is edited between two calls."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Callable

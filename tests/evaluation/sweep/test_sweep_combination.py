@@ -1,7 +1,5 @@
 """The full product of a plan, its order, and the inputs of a row's key."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import pytest

@@ -1,7 +1,5 @@
 """Comparison of two sweeps."""
 
-from __future__ import annotations
-
 import copy
 import csv
 import json

@@ -1,7 +1,5 @@
 """A decomposition finds planted shares of the variance, and attributes nothing to chance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A plan: the values of a sweep, and its error messages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A sweep in this process, on local processes and on a Dask cluster: one table, every stage built once."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

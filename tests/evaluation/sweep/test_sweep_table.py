@@ -1,7 +1,5 @@
 """The rows of a sweep have the right columns, Parquet holds the same values, and Markdown tables show the best."""
 
-from __future__ import annotations
-
 import csv
 import json
 import sys

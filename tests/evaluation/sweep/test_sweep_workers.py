@@ -1,7 +1,5 @@
 """Combinations that fail, and workers that die: the sweep goes on."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

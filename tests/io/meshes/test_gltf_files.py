@@ -1,7 +1,5 @@
 """glTF files give the triangles of their scene in metres, as the standard defines, or are refused by name."""
 
-from __future__ import annotations
-
 import base64
 import json
 from pathlib import Path

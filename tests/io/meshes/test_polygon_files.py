@@ -1,7 +1,5 @@
 """STL, OBJ, OFF and PLY files with polygons give the surface that they describe, in every notation of these formats."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

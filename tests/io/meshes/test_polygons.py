@@ -1,7 +1,5 @@
 """Polygons become triangles that cover them exactly, whatever their shape, position and first corner."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

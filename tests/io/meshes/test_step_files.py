@@ -1,7 +1,5 @@
 """STEP files give triangles in metres, near the exact surface, whatever unit they state."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 import tempfile

@@ -1,7 +1,5 @@
 """Frames of a folder, a video and a camera: every frame, the newest, or single frames on request, and lost sources."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

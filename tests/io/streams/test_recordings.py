@@ -1,7 +1,5 @@
 """Recordings: written by one library and read by others, bags of ROS 1 and 2, damaged files, missing topics."""
 
-from __future__ import annotations
-
 import bz2
 import sqlite3
 import sys

@@ -1,7 +1,5 @@
 """Messages as arrays and back: pixels of every encoding, transforms, and poses with ROS's covariance."""
 
-from __future__ import annotations
-
 from io import BytesIO
 from types import SimpleNamespace as Fields
 

@@ -1,7 +1,5 @@
 """Sensor poses from a CSV file: by file or by time, in metres or mm, and one sentence for each mistake."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

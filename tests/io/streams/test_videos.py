@@ -1,7 +1,5 @@
 """Videos: frames above the limit of images."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import numpy as np

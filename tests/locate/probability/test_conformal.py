@@ -1,7 +1,5 @@
 """Sets of poses contain the true pose with the requested coverage, even for wrong probabilities."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The evidence for a first pose: what it leaves unexplained, how other poses compare, and how noisy the touches are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The probability of "none of these" grows with the misfit that touches have together, but not separately."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from message_helpers import naming

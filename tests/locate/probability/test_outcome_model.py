@@ -1,7 +1,5 @@
 """The outcome of a result: its trees, the shares of its poses, and the shipped model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Probes: just beyond the tolerance, along the directions that a covariance leaves open, never along symmetries."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Probabilities from scores: fits recover known parameters, and several touches share their errors."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

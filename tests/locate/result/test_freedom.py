@@ -1,7 +1,5 @@
 """The freedom that touches leave: equally good poses, slides and turns, and their words."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

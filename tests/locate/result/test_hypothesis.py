@@ -1,7 +1,5 @@
 """A hypothesis's pose in the sensor frame and in the base frame, with its quaternions and covariances."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

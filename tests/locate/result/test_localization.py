@@ -1,7 +1,5 @@
 """A saved localisation is read back whole, and everything that works from a localisation works from the copy."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

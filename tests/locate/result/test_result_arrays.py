@@ -1,7 +1,5 @@
 """The arrays of a result: they are read as written, and a damaged file gives an error of one sentence."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

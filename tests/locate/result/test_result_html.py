@@ -1,7 +1,5 @@
 """The HTML that notebooks display: the verdict, the pictures of each touch and hypothesis, and what is left out."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import html

@@ -1,7 +1,5 @@
 """The document of a result: its values, its keys, and the doubts about a result."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from datetime import datetime

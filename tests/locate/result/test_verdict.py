@@ -1,7 +1,5 @@
 """The verdict: the order of its rules, its thresholds, and its value in a result and its file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

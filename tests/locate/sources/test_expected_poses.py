@@ -1,7 +1,5 @@
 """The search of several touches with a prior, where a smooth handle looks alike in many places."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Places in the store: their files, and those of older versions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

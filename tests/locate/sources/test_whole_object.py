@@ -1,7 +1,5 @@
 """Search of a whole object, with touches from another renderer."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

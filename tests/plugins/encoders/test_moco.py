@@ -1,7 +1,5 @@
 """The learned encoder learns, is reproducible for a seed, and is not changed by an interruption."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The trained encoder does not depend on earlier work in its process."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """One pose against several pressed touches, with a truth known in closed form or by construction."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

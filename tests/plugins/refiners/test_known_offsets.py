@@ -1,7 +1,5 @@
 """Refiners of clouds undo a known offset of a candidate from the true pose, to a fraction of a pixel of 0.4 mm."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Asymmetric cameras, surfaces of known depth, and the exact renderers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

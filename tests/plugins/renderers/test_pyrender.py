@@ -1,7 +1,5 @@
 """OpenGL: several contexts in one process, windings, clipping, and machines without EGL."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

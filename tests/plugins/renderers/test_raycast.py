@@ -1,7 +1,5 @@
 """The ray caster: culling does not change the result; its cache."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -1,7 +1,5 @@
 """All renderers draw the same contact shapes of real parts, to within a height map's resolution."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

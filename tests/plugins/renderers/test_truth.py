@@ -1,7 +1,5 @@
 """The exact renderers draw the depths that follow from geometry, far within the tolerance of the contract checks."""
 
-from __future__ import annotations
-
 from tactile_loc.testing import renderers
 
 

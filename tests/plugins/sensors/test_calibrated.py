@@ -1,7 +1,5 @@
 """A calibrated sensor: images become contact shapes, and contact shapes are kept."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

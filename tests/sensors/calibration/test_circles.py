@@ -1,7 +1,5 @@
 """A ball's visible circle in simulated images: correct in noise, in uneven light and near the border."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The calibration folder: atomic writing, and reading."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

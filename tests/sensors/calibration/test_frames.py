@@ -1,7 +1,5 @@
 """Images without a table: untouched ones, dropped ones with reasons, and the chosen frames of a video."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 from pathlib import Path

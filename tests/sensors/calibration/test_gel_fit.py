@@ -1,7 +1,5 @@
 """A gel's thickness and coating, from drawn presses of balls and from real ones."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Folders of photos are labelled: the ball is found in the images, or an existing table is used unchanged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from press_sets import BALL_M, MM, ball_set, write_image

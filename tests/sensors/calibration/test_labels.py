@@ -1,7 +1,5 @@
 """Labels of presses: the ball's formula, the mesh at its pose, and unknown pixels."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

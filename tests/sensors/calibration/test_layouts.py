@@ -1,7 +1,5 @@
 """Photos of presses are recognised in the layouts of other tools, and labelled ones are converted."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

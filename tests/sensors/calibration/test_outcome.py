@@ -1,7 +1,5 @@
 """Calibration: the choice of held-out presses, the errors on them, and the stored outcome."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A folder of presses: every kind of row, every fault of a row, and the size of images."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Simulated presses of the calibration boards: labels, lamps, seeds and storage."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from press_sets import sensor

@@ -1,7 +1,5 @@
 """The photo of the untouched gel from another time is found by its name, and corrected for its drift."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from press_sets import ball_set

@@ -1,7 +1,5 @@
 """Sensors and surfaces with known numbers for the tests of simulated images."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

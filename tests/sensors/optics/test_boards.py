@@ -1,7 +1,5 @@
 """The calibration boards: solids of the right size, and poses that press their raised side."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Descriptions of lights and cameras: refused values, identity, and variation."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

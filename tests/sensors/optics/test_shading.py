@@ -1,7 +1,5 @@
 """Images of surfaces with known shades."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Simulated images and training pairs, and the gel's surface: smooth around the contact, at any resolution."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The convolutional estimator learns, resumes, and sees far enough."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What both estimators do: features, seeds, files of weights, and refused training data."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Marker dots are found in untouched and touched images, and filled in."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

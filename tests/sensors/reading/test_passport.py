@@ -1,7 +1,5 @@
 """Planted faults of a sensor are found by its checks, and clean photos have none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

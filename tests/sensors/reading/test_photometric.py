@@ -1,7 +1,5 @@
 """Slope from colour: the estimator learns a simulated sensor from a few presses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from message_helpers import naming

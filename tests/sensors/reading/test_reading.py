@@ -1,7 +1,5 @@
 """Contact shapes from indentations, the checks of an image before it is read, and its health."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 

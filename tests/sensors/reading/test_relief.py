@@ -1,7 +1,5 @@
 """The surface of a curved gel, learned from presses of balls, and the labels of balls on it."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 from pathlib import Path

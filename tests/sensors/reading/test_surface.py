@@ -1,7 +1,5 @@
 """Surfaces from slopes: exact for exact slopes, and free of drift where the gel is untouched."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

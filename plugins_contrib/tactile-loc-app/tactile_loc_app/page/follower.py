@@ -1,7 +1,5 @@
 """Work that follows a moving hand: only the newest request counts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from threading import Condition, Thread
 from typing import Generic, TypeVar

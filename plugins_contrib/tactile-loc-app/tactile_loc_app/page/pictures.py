@@ -1,7 +1,5 @@
 """Pictures of contact shapes as arrays, drawn fast enough to follow a moving finger."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import ContactShape, SensorGeometry, paint_shape

@@ -1,7 +1,5 @@
 """The progress of a visitor's long work, shown on the page."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Checks for methods of a benchmark: rigid poses in the base frame, sound scores, and no changes to the touches."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Registration by ICP from many starts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import ClassVar
 

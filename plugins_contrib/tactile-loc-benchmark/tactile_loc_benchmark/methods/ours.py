@@ -1,7 +1,5 @@
 """tactile-loc itself as a method of the benchmark."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

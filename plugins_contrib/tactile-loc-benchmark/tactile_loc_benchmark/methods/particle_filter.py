@@ -1,7 +1,5 @@
 """A particle filter over poses that compares drawn contact shapes with the touches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import ClassVar
 

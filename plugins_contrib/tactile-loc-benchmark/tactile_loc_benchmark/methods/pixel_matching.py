@@ -1,7 +1,5 @@
 """Dense matching of pixels: the touches' contact shapes against drawn shapes of many poses, without registration."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import ClassVar
 

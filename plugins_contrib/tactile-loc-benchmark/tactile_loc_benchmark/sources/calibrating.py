@@ -1,7 +1,5 @@
 """Calibration of a source's sensor on images of the source itself, with the same steps as `tactile-loc calibrate`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

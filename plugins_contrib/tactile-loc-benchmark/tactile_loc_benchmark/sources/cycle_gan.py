@@ -5,8 +5,6 @@ its objects by 2.1 mm. In trials, images of lighter presses hardly show them, so
 therefore leave this source out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar

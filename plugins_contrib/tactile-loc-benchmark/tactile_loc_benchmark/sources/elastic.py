@@ -1,7 +1,5 @@
 """What the sources with an elastic gel have in common: the sensor, the object's reach into the gel, and the shape."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ its tip in the images. The tip is symmetric under a half turn, and the sides of 
 determines the tip's position and yaw, and the press.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path

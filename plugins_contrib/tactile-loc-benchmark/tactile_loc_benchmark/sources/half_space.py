@@ -3,8 +3,6 @@
 tamaas prescribes the load, and a press prescribes the indentation. So the load is searched for, with the secant method.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar

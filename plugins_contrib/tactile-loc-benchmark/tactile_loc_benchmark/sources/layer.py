@@ -1,7 +1,5 @@
 """Contact shapes of an elastic layer, solved by ContactMechanics (Pastewka and others)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Touches drawn by a renderer of tactile-loc, with its model of the gel and of noise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Literal

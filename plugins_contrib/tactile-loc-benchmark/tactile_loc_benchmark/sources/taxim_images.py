@@ -4,8 +4,6 @@ Taxim draws the colours of two real sensors with flat gels. Its gel is no elasti
 object reaches deeper than a share of the press, and is smoothed with Gaussian pyramids elsewhere.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile

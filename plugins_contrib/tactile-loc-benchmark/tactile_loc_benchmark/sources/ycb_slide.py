@@ -7,8 +7,6 @@ the DIGIT, whose camera looks along -z, and the translation is corrected by the 
 ball, so the sensor is a calibrated sensor of the user.
 """
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Iterable, Mapping
 from pathlib import Path

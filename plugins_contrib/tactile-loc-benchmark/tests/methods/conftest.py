@@ -1,7 +1,5 @@
 """Touches of a block without symmetry, drawn exactly, and what a method knows about the block."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Each method locates a block without symmetry from three clean touches. All seeds are fixed."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

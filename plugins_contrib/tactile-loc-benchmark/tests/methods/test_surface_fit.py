@@ -1,7 +1,5 @@
 """Registration of touched points to a surface, and the helpers of the methods."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tactile_loc.plugin import TouchError

@@ -4,8 +4,6 @@ Residual networks use torchvision's parameter names. No network has average pool
 vector.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Mapping, Sequence

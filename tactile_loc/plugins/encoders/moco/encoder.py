@@ -6,8 +6,6 @@ the grid pose nearest to the true pose. The loss is the cross-entropy of the sof
 shapes without noise.
 """
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace

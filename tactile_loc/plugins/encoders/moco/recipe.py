@@ -1,7 +1,5 @@
 """The recipe of the learned encoder, its presets, and the network's input."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Training of the learned encoder: the processes that train together, the log, and the loop."""
 
-from __future__ import annotations
-
 import copy
 import json
 import logging

@@ -4,8 +4,6 @@ Lengths are in mm, in the sensor's frame. A mixture is a `filterreg.refiner.Mixt
 before a translation (mm).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -8,8 +8,6 @@ step is a Gauss-Newton step on the twist of the rigid motion. The mixture's stan
 iteration to the next.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ without contact. Pictures are drawn exactly, triangle by triangle, not by the sc
 edges are inexact, the cost would have steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
