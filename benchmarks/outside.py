@@ -24,9 +24,10 @@ from contacts import Located, locate
 from numpy.typing import NDArray
 from tactile_loc_benchmark.suite import read_split
 
+from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.core.sensing.noise import Float32, GelPixels, TouchNoise
+from tactile_loc.core.sensing.noise import GelPixels, TouchNoise
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.geometry.rigid import Poses, draw_rotations, make_transform
+from tactile_loc.core.geometry.rigid import Floats, Ints, Poses, draw_rotations, make_transform
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.lattices import (
     compute_lattice_shape,
@@ -23,7 +22,6 @@ from tactile_loc.slots.grid import GridSampler
 
 log = logging.getLogger(__name__)
 
-Float = NDArray[np.float64]
 
 MOST_DRAWN = 100_000  # largest number of rotations drawn at once
 MOST_ROTATED = 1_000_000  # largest number of points rotated at once (24 MB)
@@ -46,7 +44,7 @@ class AllRotationsGrid(GridSampler):
         max_poses: int = Field(default=2_000_000, ge=1, description="refuse a grid with more poses than this")
 
     @abstractmethod
-    def rotations(self, obj: ObjectModel, spacing_m: float) -> Float:
+    def rotations(self, obj: ObjectModel, spacing_m: float) -> Floats:
         """Return rotations R_sensor_object (K, 3, 3), about `spacing_m` metres of surface motion apart.
 
         Of rotations that are equal by symmetry, only one is returned.
@@ -78,7 +76,7 @@ class AllRotationsGrid(GridSampler):
         return _place_centroids(obj, np.repeat(R, counts, axis=0), xy)
 
     @staticmethod
-    def place_counts(obj: ObjectModel, R: Float, geometry: SensorGeometry, spacing_m: float) -> NDArray[np.int64]:
+    def place_counts(obj: ObjectModel, R: Floats, geometry: SensorGeometry, spacing_m: float) -> Ints:
         """Return the number (N,) of positions, `spacing_m` metres apart, over the sensor for rotations R (N, 3, 3)."""
         shapes = compute_lattice_shape(*find_centroid_range(obj, R, geometry), spacing_m)
         return np.asarray(shapes.prod(axis=-1))
@@ -100,7 +98,7 @@ class AllRotationsGrid(GridSampler):
             )
 
 
-def find_centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) -> tuple[Float, Float]:
+def find_centroid_range(obj: ObjectModel, R: Floats, geometry: SensorGeometry) -> tuple[Floats, Floats]:
     """Return the least and the greatest x, y (N, 2), metres, of the object's centroid for rotations R (N, 3, 3).
 
     Between these limits, in the sensor frame, the rotated object's bounding box overlaps the sensing rectangle.
@@ -116,7 +114,7 @@ def find_centroid_range(obj: ObjectModel, R: Float, geometry: SensorGeometry) ->
 
 
 def draw_places(
-    obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator, rotations: Callable[[int], Float]
+    obj: ObjectModel, geometry: SensorGeometry, count: int, rng: np.random.Generator, rotations: Callable[[int], Floats]
 ) -> Poses:
     """Draw poses (count, 4, 4), metres, uniformly over rotations and positions over the sensor; z is arbitrary.
 
@@ -135,7 +133,7 @@ def draw_places(
     return np.concatenate(found)[:count]
 
 
-def _place_centroids(obj: ObjectModel, R: Float, xy_m: Float) -> Poses:
+def _place_centroids(obj: ObjectModel, R: Floats, xy_m: Floats) -> Poses:
     """Return poses (N, 4, 4), metres, with rotations R (N, 3, 3) and the centroid at x, y (N, 2), z = 0."""
     centroid_m = np.column_stack([xy_m, np.zeros(len(xy_m))])
     return make_transform(R, centroid_m - R @ obj.mesh.centroid_m)

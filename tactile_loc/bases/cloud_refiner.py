@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.sensing.clouds import make_contact_cloud
@@ -26,8 +26,8 @@ FEWEST_POINTS = 3
 class Cloud:
     """Surface points (P, 3), mm, in the sensor frame, their unit normals (P, 3), and the distance of neighbours, mm."""
 
-    points_mm: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    points_mm: Floats
+    normals: Floats
     spacing_mm: float
 
     def __len__(self) -> int:
@@ -38,7 +38,7 @@ class Cloud:
 class Registration:
     """The result of a registration. `T_mm` (4, 4), mm, moves the source onto the target; None if there is no result."""
 
-    T_mm: NDArray[np.float64] | None = None
+    T_mm: Floats | None = None
     converged: bool = False
     iterations: int = 0
 
@@ -108,7 +108,7 @@ class CloudRefiner(Refiner):
         return Cloud(points[::every] * MILLI, normals[::every], geometry.pixel_pitch_m * MILLI * every**0.5)
 
 
-def make_orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:
+def make_orthonormal(T: Floats) -> Floats:
     """Return the transform (4, 4) with its rotation replaced by the nearest proper rotation."""
     U, _, Vt = np.linalg.svd(T[:3, :3])
     T = T.copy()
@@ -116,7 +116,7 @@ def make_orthonormal(T: NDArray[np.float64]) -> NDArray[np.float64]:
     return T
 
 
-def _move(T_sensor_object: NDArray[np.float64], T_mm: NDArray[np.float64] | None) -> NDArray[np.float64]:
+def _move(T_sensor_object: Floats, T_mm: Floats | None) -> Floats:
     """Return the pose (4, 4), metres, moved by a transform in mm, or unchanged if the transform is None."""
     if T_mm is None:
         return T_sensor_object
@@ -125,9 +125,7 @@ def _move(T_sensor_object: NDArray[np.float64], T_mm: NDArray[np.float64] | None
     return make_orthonormal(T) @ T_sensor_object
 
 
-def _choose_better(
-    found: Registration, pose: NDArray[np.float64], after: float, given: NDArray[np.float64], before: float
-) -> RefinedPose:
+def _choose_better(found: Registration, pose: Floats, after: float, given: Floats, before: float) -> RefinedPose:
     """Return the registered pose, or the candidate if the candidate's contact overlaps the touch's contact better."""
     if found.T_mm is not None and after >= before - ROUGHLY:
         return RefinedPose(pose, after, found.converged and after > 0, found.iterations)

@@ -6,10 +6,9 @@ from functools import partial
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.geometry.rigid import Poses, invert, require_rigid
+from tactile_loc.core.geometry.rigid import Bools, Floats, Ints, Poses, invert, require_rigid
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.poses.priors import Prior
@@ -17,7 +16,7 @@ from tactile_loc.core.runtime.errors import ConfigError, quote
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.slots.fuser import Fuser
 
-Indices = NDArray[np.int64]
+Indices = Ints
 LookUp = Callable[[Poses], Indices]
 
 SAMPLE = 200  # least number of poses by which sensors are ordered
@@ -40,7 +39,7 @@ class CommonPosesFuser(Fuser):
         )
 
     @abstractmethod
-    def evidence(self, posterior: PosePosterior, index: Indices | slice) -> NDArray[np.float64]:
+    def evidence(self, posterior: PosePosterior, index: Indices | slice) -> Floats:
         """Return the log-weights (K,), nats, that a touch gives to the poses `index` (K,) of its own grid."""
 
     def fuse(
@@ -109,7 +108,7 @@ def require_sensor_poses(T_base_sensor: Sequence[Poses | None]) -> None:
         require_rigid(T, f"T_base_sensor of touch {number}")
 
 
-def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.float64]:
+def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> Floats:
     """Return the prior's log-weights (N,) of the grid's poses, or zeros without a prior.
 
     Raises ConfigError unless the prior returns one log-weight per pose, each finite or -inf.
@@ -130,7 +129,7 @@ def compute_prior_weights(prior: Prior | None, grid: PoseGrid) -> NDArray[np.flo
 
 
 def find_common_poses(
-    grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float, possible: NDArray[np.bool_]
+    grids: Sequence[PoseGrid], T_base_sensor: Sequence[Poses], reach: float, possible: Bools
 ) -> Indices | NoPoseLeft:
     """Find which of the first grid's `possible` (N,) poses touch all sensors, in the grid's order.
 

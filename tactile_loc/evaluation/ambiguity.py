@@ -18,9 +18,8 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Float32, Floats, Poses
 from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
@@ -34,9 +33,6 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.simulate.touch_simulation import PressNoise
 from tactile_loc.slots.refiner import Refiner
 from tactile_loc.slots.registry import registry
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 AMBIGUOUS = 1.0  # touches with a lower ratio are ambiguous
 DISTANT_M = 5e-3  # root mean square surface distance; nearer poses count as the true pose
@@ -54,7 +50,7 @@ def choose_judging_noise(noise: str) -> str:
 
 def measure_ambiguity(
     localizer: Localizer, touches: Sequence[Touch], noise: TouchNoise, rngs: Sequence[np.random.Generator]
-) -> Float64:
+) -> Floats:
     """Return the ratio (T,) of each touch, unitless; infinite if the grid has no distant pose.
 
     `noise` is added to measurements of the true poses, drawn with one of `rngs` for each touch. Raises TouchError for a
@@ -86,7 +82,7 @@ def find_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) 
     return grid.T_sensor_object[chosen]
 
 
-def compute_noise_ratio(true: Float64, others: Float64, measured: Float64) -> Float64:
+def compute_noise_ratio(true: Floats, others: Floats, measured: Floats) -> Floats:
     """Return the ratios (R,), unitless, of contact depths `others` (R, P) to the true ones (P,), all in metres.
 
     `measured` (K, P), metres, are noisy measurements of the true pose. A shape equal to the true one has ratio 0.
@@ -149,7 +145,7 @@ class _Judge:
         return measured
 
 
-def _blur_gently(depths_m: Float32, geometry: SensorGeometry) -> Float64:
+def _blur_gently(depths_m: Float32, geometry: SensorGeometry) -> Floats:
     """Return contact depths (N, H, W), metres, blurred by BLUR_M on the gel, at the observed pixels: (N, P)."""
     gel = GelPixels.of(geometry)
     blurred = gel.blur(depths_m[:, gel.rows, gel.columns], BLUR_M)

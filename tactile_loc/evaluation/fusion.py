@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.geometry.rigid import Bools, Floats, Ints, Poses, invert
 from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import PosePosterior, require_pose_left
@@ -103,7 +103,7 @@ class _FusedExamples:
                 advance(1)
         return [*(np.stack(column) for column in zip(*rows, strict=True)), refused]
 
-    def _locate_touches(self, numbers: range) -> tuple[list[list[PosePosterior]], list[list[Touch]], NDArray[np.int64]]:
+    def _locate_touches(self, numbers: range) -> tuple[list[list[PosePosterior]], list[list[Touch]], Ints]:
         """Return each example's posteriors and touches, and the refused presses (E,)."""
         most = self.contacts[-1]
         drawn = [self.source.draw_counted(self.localizer, MOST_FUSED * e + k) for e in numbers for k in range(most)]
@@ -117,7 +117,7 @@ class _FusedExamples:
 
     def _locate_example(
         self, number: int, posteriors: Sequence[PosePosterior], touches: Sequence[Touch]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    ) -> tuple[Floats, Bools]:
         """Return one example's errors (C, L), metres, and a mask (C, 3) of the lines that found no common pose."""
         grid, T_base_sensor = posteriors[0].grid, invert(np.stack([require_true_pose(touch) for touch in touches]))
         resting = [replace(touch, T_base_sensor=T) for touch, T in zip(touches, T_base_sensor, strict=True)]
@@ -138,7 +138,7 @@ class _FusedExamples:
         return errors.reshape(len(self.contacts), len(FUSION_LINES)), np.array(alone)
 
     @use_one_blas_thread()
-    def _refine(self, touches: Sequence[Touch], posterior: PosePosterior, index: int) -> NDArray[np.float64]:
+    def _refine(self, touches: Sequence[Touch], posterior: PosePosterior, index: int) -> Floats:
         """Return a grid pose (4, 4), metres, refined to touches of the object at rest."""
         candidate = Candidate(posterior.grid.T_sensor_object[index], index, float(posterior.log_p[index]))
         (refined,) = self.localizer.refinement.refine(self.localizer.make_views(touches), [candidate])
@@ -149,7 +149,7 @@ class _FusedExamples:
         return self.localizer.fuser, _make_kinematic()
 
     @cached_property
-    def _points_m(self) -> NDArray[np.float64]:
+    def _points_m(self) -> Floats:
         return PoseJudge(self.localizer.object).points_m
 
 

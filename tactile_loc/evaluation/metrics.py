@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Floats, Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.pose_errors import compute_adds, measure_pose_errors
@@ -24,7 +23,7 @@ SURFACE_POINTS = 10_000  # for ADD
 METRICS = ("mssd", "add", "shape")  # of an answer: pose error, ADD and shape distance
 STEP_M = 2e-5  # step along a continuous symmetry to find the nearest symmetric pose
 
-Points = NDArray[np.float64]
+Points = Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +43,7 @@ class PoseJudge:
         corners_m = self.object.mesh.hull_corners_m
         return max(float(np.linalg.norm(corners_m - corner, axis=1).max()) for corner in corners_m)
 
-    def measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
+    def measure_errors(self, poses: Poses, T_true: Poses) -> Floats:
         """Return the METRICS (K, M), metres, of poses (K, 4, 4) and the true pose (4, 4)."""
         errors = (
             measure_pose_errors(self.object, poses, T_true),
@@ -54,7 +53,7 @@ class PoseJudge:
         return np.stack(errors, axis=1)
 
 
-def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> NDArray[np.float64]:
+def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Generator) -> Floats:
     """Return the POSTERIOR_METRICS (5,) of a posterior with a known true pose (4, 4), metres.
 
     `nll_nats` is the negative log-likelihood of the grid pose nearest to the true pose. `credible_level`, 0 to 1, is
@@ -70,7 +69,7 @@ def measure_posterior(posterior: PosePosterior, T_true: Poses, rng: np.random.Ge
     return np.array([-posterior.log_p[truth], level, posterior.entropy, expected, spread])
 
 
-def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: NDArray[np.float64], T_true: Poses) -> float:
+def compute_nees(metric: PoseMetric, T_estimate: Poses, covariance: Floats, T_true: Poses) -> float:
     """Return e^T C^-1 e (unitless) of an estimate (4, 4), metres, with its covariance C (6, 6), in ROS's order.
 
     e (6,) is the error of x, y, z and of the rotation vector, along the sensor's axes. The error is measured from the

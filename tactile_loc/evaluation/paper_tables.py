@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.ambiguity import AMBIGUOUS
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION
@@ -77,7 +77,7 @@ def find_scale_m(table: ExampleTable, metric: str = "add") -> float:
     return float(table.errors_m("random", metric).mean())
 
 
-def normalise_errors(run: ExampleTable, line: str) -> NDArray[np.float64]:
+def normalise_errors(run: ExampleTable, line: str) -> Floats:
     """Return the ADD (E,) of a line divided by the mean ADD of a random pose, unitless."""
     return run.errors_m(line, "add") / find_scale_m(run)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Floats, Ints, Poses
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.pose_errors import compute_add_s, compute_adds, measure_pose_errors
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -64,9 +64,7 @@ class TouchEvaluator:
         errors_m, metrics = self._measure_errors(poses, truth), measure_posterior(posterior, truth, rng)
         return errors_m, poses, seconds, metrics
 
-    def _refine(
-        self, touch: Touch, posterior: PosePosterior, top: NDArray[np.int64], times: StageTimes
-    ) -> tuple[Poses, int]:
+    def _refine(self, touch: Touch, posterior: PosePosterior, top: Ints, times: StageTimes) -> tuple[Poses, int]:
         """Refine the grid poses `top` (K,); return them (K, 4, 4), metres, and the number of the best one.
 
         Add the time of the first pose to `times` as "refine", and that of the others and of the choice as "choose".
@@ -79,13 +77,7 @@ class TouchEvaluator:
             return refined, int(self.localizer.scene.imprint_ious(refined, touch).argmax())
 
     def _choose_lines(
-        self,
-        grid: PoseGrid,
-        T_true: Poses,
-        top: NDArray[np.int64],
-        guesses: NDArray[np.int64],
-        refined: Poses,
-        chosen: int,
+        self, grid: PoseGrid, T_true: Poses, top: Ints, guesses: Ints, refined: Poses, chosen: int
     ) -> Poses:
         """Return each line's pose (L, 4, 4), metres: the line's candidate nearest to the true pose by ADD."""
         near = np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
@@ -106,7 +98,7 @@ class TouchEvaluator:
         }
         return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
 
-    def _measure_errors(self, poses: Poses, T_true: Poses) -> NDArray[np.float64]:
+    def _measure_errors(self, poses: Poses, T_true: Poses) -> Floats:
         """Return the errors (L, M), metres, of poses (L, 4, 4); equal poses are measured only once."""
         obj = self.localizer.object
         distinct, where = np.unique(poses.reshape(len(poses), 16), axis=0, return_inverse=True)
@@ -119,7 +111,7 @@ class TouchEvaluator:
         return np.stack(errors, axis=1)[where.ravel()]
 
     @cached_property
-    def _points_m(self) -> NDArray[np.float64]:
+    def _points_m(self) -> Floats:
         return PoseJudge(self.localizer.object).points_m
 
 

@@ -7,13 +7,20 @@ are enough. A press that a sensor cannot distinguish from no touch is refused an
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, draw_rotations, invert, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import (
+    Float32,
+    Floats,
+    Poses,
+    draw_rotations,
+    invert,
+    make_transform,
+    rotation_about,
+)
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.contact import bring_to_contact
-from tactile_loc.core.sensing.noise import Float32, TouchNoise
+from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -149,7 +156,7 @@ class RobotTouches:
         seen = self.geometry.observed_mask
         return bool(((depth_m < np.float32(press_m)) & seen).sum() >= max(1.0, self.least_percent / 100 * seen.sum()))
 
-    def misplace(self, T_base_sensor: Poses, turn: NDArray[np.float64], shift: NDArray[np.float64]) -> Poses:
+    def misplace(self, T_base_sensor: Poses, turn: Floats, shift: Floats) -> Poses:
         """Return a sensor's pose (4, 4), metres, with an error of `turn` and `shift` (3,), in standard deviations.
 
         The rotation is about axes through the middle of the gel, where the touch is. The shift is along the sensor's
@@ -159,7 +166,7 @@ class RobotTouches:
             return T_base_sensor
         return np.asarray(T_base_sensor @ self.move_about_gel(self.sensor_std_rad * turn, self.sensor_std_m * shift))
 
-    def move_about_gel(self, turn_rad: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Poses:
+    def move_about_gel(self, turn_rad: Floats, shift_m: Floats) -> Poses:
         """Return the motion (4, 4) by a rotation vector (3,), radians, about the gel's middle and a shift (3,), m."""
         gel, angle_rad = np.array([0.0, 0.0, self.geometry.standoff_m]), float(np.linalg.norm(turn_rad))
         R = rotation_about(turn_rad, angle_rad) if angle_rad > 0 else np.eye(3)

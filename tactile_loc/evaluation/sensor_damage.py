@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.poses.priors import GaussianPrior
 from tactile_loc.core.runtime.errors import TactileLocError
@@ -69,7 +69,7 @@ def _read_shape(sensor: Calibration, touch: Touch, seen: Examination, finding: S
     """Return the contact shape that is read from a touch's slopes after a fault has changed them."""
     geometry, shape = sensor.geometry, touch.contact_shape
     displaced = np.where(shape.contact, shape.press_depth_m - shape.depth_m, 0.0)
-    slopes: NDArray[np.float64] = np.asarray(differentiate(displaced, geometry), np.float64)
+    slopes: Floats = np.asarray(differentiate(displaced, geometry), np.float64)
     if finding is not None:
         assert finding.check.distort is not None
         slopes = finding.check.distort(seen, slopes)

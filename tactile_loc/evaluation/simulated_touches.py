@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.errors import ConfigError, TouchError, name_source
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.scene import Scene
@@ -107,7 +107,7 @@ class SimulatedTouches:
         return dataclasses.replace(touch, name=f"touch-{number:04d}"), refused
 
 
-def require_true_pose(touch: Touch) -> NDArray[np.float64]:
+def require_true_pose(touch: Touch) -> Floats:
     """Return a touch's true pose (4, 4), metres. Raises TouchError if the pose is unknown."""
     if touch.T_sensor_object is None:
         raise TouchError(f"{touch.name} has no true pose to compare with; give a touch from tactile-loc simulate")

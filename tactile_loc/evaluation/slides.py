@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Float32, Floats, Ints, Poses, invert, make_transform, rotation_about
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.scene import Scene
@@ -44,7 +44,7 @@ STARTS = 12
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.1, 0.2])
 T_FLANGE_GEL = make_transform(rotation_about([0, 0, 1], 0.4) @ rotation_about([0, 1, 0], 0.1), [0.01, 0.0, 0.12])
 
-Show = Callable[[NDArray[np.float32], float], tuple[NDArray[Any], str]]
+Show = Callable[[Float32, float], tuple[NDArray[Any], str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class Slide:
     """
 
     scene: Scene
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: Ints
     T_sensor_object: Poses
-    press_m: NDArray[np.float64]
+    press_m: Floats
     noise: TouchNoise = NO_NOISE
     seed: int = 0
 
@@ -72,7 +72,7 @@ class Slide:
         """The poses of the robot's flange (2 N - 1, 4, 4), metres; the object is at rest."""
         return T_BASE_OBJECT @ invert(self.T_sensor_object) @ invert(T_FLANGE_GEL)
 
-    def draw_depths_m(self, number: int) -> NDArray[np.float32]:
+    def draw_depths_m(self, number: int) -> Float32:
         """Return the contact shape (H, W) at a time, metres; without contact, it is the maximal depth everywhere."""
         geometry, press_m = self.scene.geometry, float(self.press_m[number])
         untouched = np.full(geometry.shape, geometry.max_depth_m, np.float32)
@@ -85,9 +85,7 @@ class Slide:
         return depth if (depth < np.float32(measured_m)).any() else untouched
 
 
-def draw_slide(
-    scene: Scene, T_start: NDArray[np.float64], frames: int, noise: TouchNoise = NO_NOISE, seed: int = 0
-) -> Slide:
+def draw_slide(scene: Scene, T_start: Floats, frames: int, noise: TouchNoise = NO_NOISE, seed: int = 0) -> Slide:
     """Return a slide of an object from a pose (4, 4), metres, along a figure of eight, with a varying press.
 
     `scene` draws the touches; its renderer should differ from the localizer's. Raises TouchError if the object slides
@@ -109,7 +107,7 @@ def draw_slide(
     return Slide(scene, stamps, lower(poses, press_m), press_m, noise, seed)
 
 
-def _rotate_about_gel(scene: Scene, T: NDArray[np.float64], angles_rad: NDArray[np.float64]) -> Poses:
+def _rotate_about_gel(scene: Scene, T: Floats, angles_rad: Floats) -> Poses:
     """Return a pose (4, 4), metres, rotated by each of N angles about the middle of the gel: (N, 4, 4)."""
     x0, x1, y0, y1 = scene.geometry.rectangle
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
@@ -139,13 +137,13 @@ class Photos:
     def __init__(self, geometry: SensorGeometry, optics: Optics, seed: int) -> None:
         self._geometry, self._optics, self._rng = geometry, optics, np.random.default_rng(seed)
 
-    def __call__(self, depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
+    def __call__(self, depth_m: Float32, press_m: float) -> tuple[NDArray[Any], str]:
         """Return the photo (H, W, 3) of a contact shape (H, W), metres."""
         press = press_m if press_m > 0 else self._geometry.max_depth_m
         return render_touches(depth_m[None], [press], self._geometry, self._optics, self._rng)[0], "rgb8"
 
 
-def show_depths(depth_m: NDArray[np.float32], press_m: float) -> tuple[NDArray[Any], str]:
+def show_depths(depth_m: Float32, press_m: float) -> tuple[NDArray[Any], str]:
     """Return a contact shape (H, W), metres, unchanged."""
     return depth_m, "32FC1"
 

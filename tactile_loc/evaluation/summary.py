@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Floats
 from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.locate.result.verdict import REFUSED, Verdict
@@ -29,7 +30,7 @@ SURE = 1.96  # standard deviations of a normal distribution that hold 95 %
 QUANTILES = {"q25": 0.25, "median": 0.5, "q75": 0.75, "p90": 0.9}
 
 
-def summarise_errors(errors_m: NDArray[np.float64], scale_m: float) -> dict[str, float]:
+def summarise_errors(errors_m: Floats, scale_m: float) -> dict[str, float]:
     """Return the statistics of errors (E,), metres, and of the errors divided by a scale, metres.
 
     `std` is the standard deviation of the population. `q25`, `q75` and `p90` are quantiles.
@@ -123,14 +124,12 @@ class ExampleSummary:
         )
 
 
-def find_right(table: ExampleTable) -> NDArray[np.bool_]:
+def find_right(table: ExampleTable) -> Bools:
     """Return whether the first pose of each example (E,) is right: its pose error is at most RIGHT_M."""
     return np.asarray(table.errors_m() <= RIGHT_M)
 
 
-def measure_recall(
-    table: ExampleTable, thresholds_m: ArrayLike, line: str = "first", metric: str = "mssd"
-) -> NDArray[np.float64]:
+def measure_recall(table: ExampleTable, thresholds_m: ArrayLike, line: str = "first", metric: str = "mssd") -> Floats:
     """Return the recall (T,), 0 to 1, of a line's poses at thresholds (T,), metres, of a metric, the pose error."""
     return np.asarray((table.errors_m(line, metric)[:, None] <= np.asarray(thresholds_m)).mean(axis=0))
 
@@ -162,7 +161,7 @@ def compute_wilson_range(successes: int, trials: int) -> tuple[float, float] | N
     return max(0.0, float(middle - half)), min(1.0, float(middle + half))
 
 
-def find_median(values: NDArray[np.float64]) -> float | None:
+def find_median(values: Floats) -> float | None:
     """Return the median of values; None if it is not finite, or without values."""
     median = float(np.median(values)) if len(values) else np.inf
     return median if np.isfinite(median) else None

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
+
 CONSTANT = ("object", "symmetry", "encoder", "noise", "seed", "diameter_m", "grid_poses")  # columns of a run
 LABELS = ("object", "encoder", "noise", "seed", "example", "touches")
 
@@ -68,7 +70,7 @@ class ExampleTable:
             found.setdefault(key, []).append(row)
         return {key: self.select(rows) for key, rows in found.items()}
 
-    def errors_m(self, line: str = "first", metric: str = "mssd") -> NDArray[np.float64]:
+    def errors_m(self, line: str = "first", metric: str = "mssd") -> Floats:
         """Return the errors (E,) of the poses of a line, metres; "mssd" is the pose error."""
         return self[f"{line} {metric}_m"]
 
@@ -101,7 +103,7 @@ def join_runs(runs: Sequence[EvaluatedRun]) -> ExampleTable:
     return ExampleTable.join(run.table for run in runs)
 
 
-def name_errors(errors_m: NDArray[np.float64], lines: Sequence[str], metrics: Sequence[str]) -> dict[str, Any]:
+def name_errors(errors_m: Floats, lines: Sequence[str], metrics: Sequence[str]) -> dict[str, Any]:
     """Return errors (E, L, M), metres, as columns."""
     return {f"{line} {metric}_m": errors_m[:, i, k] for i, line in enumerate(lines) for k, metric in enumerate(metrics)}
 

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from tactile_loc.core.geometry.rigid import require_rigid
+from tactile_loc.core.geometry.rigid import Floats, require_rigid
 from tactile_loc.io.toml import (
     MATRIX,
     POSITIVE_MM,
@@ -26,7 +24,7 @@ from tactile_loc.io.toml import (
 )
 from tactile_loc.store.files import write_text
 
-Pose = NDArray[np.float64]
+Pose = Floats
 
 TRAVEL_M = 0.1
 

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.geometry.lie import move_covariance
-from tactile_loc.core.geometry.rigid import require_covariance
+from tactile_loc.core.geometry.rigid import Floats, require_covariance
 from tactile_loc.io.toml import (
     MATRIX,
     Finite,
@@ -38,10 +37,10 @@ class Mount:
     along the flange's axes. It is None if unknown.
     """
 
-    T_flange_sensor: NDArray[np.float64]
-    covariance: NDArray[np.float64] | None = None
+    T_flange_sensor: Floats
+    covariance: Floats | None = None
 
-    def find_std_at(self, point_m: NDArray[np.float64]) -> tuple[float, float]:
+    def find_std_at(self, point_m: Floats) -> tuple[float, float]:
         """Return the standard deviations of position (m) and rotation (rad) at a point (3,), m, in the sensor frame.
 
         Each is the root mean square over the three axes. Both are 0 if the covariance is unknown.

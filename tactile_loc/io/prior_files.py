@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior, PosePrior, RegionPrior
 from tactile_loc.core.runtime.errors import ConfigError
@@ -38,7 +38,7 @@ class FramedPrior:
     frame: Frame
     source: str
 
-    def view_from(self, T_base_sensor: NDArray[np.float64] | None) -> PosePrior:
+    def view_from(self, T_base_sensor: Floats | None) -> PosePrior:
         """Return the prior of T_sensor_object for a sensor at `T_base_sensor` (4, 4), metres.
 
         Raises ConfigError when the prior is in the base frame and the sensor's pose is unknown.
@@ -78,7 +78,7 @@ class _Placed(BaseModel):
         None, description="[x, y, z] (mm), a point of the object in its own frame, by default its centroid"
     )
 
-    def find_point_m(self, obj: ObjectModel) -> NDArray[np.float64]:
+    def find_point_m(self, obj: ObjectModel) -> Floats:
         return obj.mesh.centroid_m if self.object_point_mm is None else 1e-3 * np.array(self.object_point_mm)
 
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 
 from tactile_loc.core.geometry.rigid import (
+    Floats,
     make_transform,
     quaternion_to_rotation,
     require_rigid,
@@ -138,7 +138,7 @@ class PoseKeys(BaseModel):
     quaternion_wxyz: Four | None = Field(default=None, description="[w, x, y, z], a unit quaternion, scalar first")
     quaternion_xyzw: Four | None = Field(default=None, description="[x, y, z, w], a unit quaternion, scalar last")
 
-    def read_pose(self, matrix: str) -> NDArray[np.float64] | None:
+    def read_pose(self, matrix: str) -> Floats | None:
         """Return the pose (4, 4), metres, that a table gives by the key `matrix` or by other keys; None if it has none.
 
         The other keys are one of POSITIONS_M and one of ROTATIONS. For `rpy_deg`, R = Rz(yaw) Ry(pitch) Rx(roll), as in
@@ -156,7 +156,7 @@ class PoseKeys(BaseModel):
         return make_transform(_read_rotation(rotation, getattr(self, rotation)), t_m)
 
 
-def to_array(rows: Sequence[Sequence[float]] | None) -> NDArray[np.float64] | None:
+def to_array(rows: Sequence[Sequence[float]] | None) -> Floats | None:
     """Return a matrix of a table as an array, or None if the table does not give it."""
     return None if rows is None else np.array(rows, float)
 
@@ -177,7 +177,7 @@ def _choose_key(given: Sequence[str], keys: Sequence[str], what: str, matrix: st
     return found[0]
 
 
-def _read_rotation(key: str, numbers: Sequence[float]) -> NDArray[np.float64]:
+def _read_rotation(key: str, numbers: Sequence[float]) -> Floats:
     """Return the rotation (3, 3) that the numbers of one of ROTATIONS describe."""
     if key == "rpy_deg":
         roll, pitch, yaw = (

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.geometry.rigid import (
+    Floats,
     invert,
     make_transform,
     quaternion_to_rotation,
@@ -45,7 +45,7 @@ from tactile_loc.io.toml import (
 from tactile_loc.io.touches import read_contents
 from tactile_loc.store.files import read_json, write_text
 
-Pose = NDArray[np.float64]
+Pose = Floats
 
 NAMES = ("poses.csv", "touches.toml", "poses.json")  # looked for in a folder, in this order
 PLACE = ("x_mm", "y_mm", "z_mm")

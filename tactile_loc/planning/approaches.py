@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import (
+    Floats,
     Poses,
     draw_rotations,
     invert,
@@ -71,11 +71,7 @@ def _measure_spread_m(modes: PoseModes) -> float:
 
 
 def _bring_contact_to_gel(
-    T_object_sensor: Poses,
-    surface_m: NDArray[np.float64],
-    finger: TriangleMesh,
-    modes: PoseModes,
-    rng: np.random.Generator,
+    T_object_sensor: Poses, surface_m: Floats, finger: TriangleMesh, modes: PoseModes, rng: np.random.Generator
 ) -> Poses:
     """Move a sensor's pose (4, 4) sideways until the first of the points (P, 3) before the finger meets the gel.
 

@@ -11,17 +11,14 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
+from tactile_loc.core.geometry.rigid import Floats, Ints, Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.tracking.pose_modes import PoseModes
-
-Float64 = NDArray[np.float64]
 
 STEP_M = 1e-3  # a finger that hits something thicker than this is always found
 LEAST_PROBABLE = 0.01  # less probable poses of the object are not checked
@@ -41,7 +38,7 @@ class Clearance:
     fixture: TriangleMesh | None = None
     floor_m: float | None = None
 
-    def explain(self, modes: PoseModes, approaches: Sequence[Approach], moved_m: Float64) -> list[str]:
+    def explain(self, modes: PoseModes, approaches: Sequence[Approach], moved_m: Floats) -> list[str]:
         """Return for each of A approaches what the finger would hit, and "" if it hits nothing.
 
         `moved_m` (A, K), metres, is the sensor's way along its z axis, with the press, if the object is in each of K
@@ -53,9 +50,7 @@ class Clearance:
             for approach, moved in zip(approaches, moved_m, strict=True)
         ]
 
-    def _list_hits(
-        self, modes: PoseModes, approach: Approach, moved_m: Float64, checked: NDArray[np.int64]
-    ) -> Iterator[str]:
+    def _list_hits(self, modes: PoseModes, approach: Approach, moved_m: Floats, checked: Ints) -> Iterator[str]:
         longest_m, T_sensor_base = float(moved_m[checked].max()), invert(approach.T_base_sensor)
         if self._goes_below_floor(approach.T_base_sensor, longest_m):
             yield f"would bring the finger below the floor at z = {1e3 * (self.floor_m or 0.0):.4g} mm"

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.hand_eye import (
     TRUSTED,
@@ -24,7 +23,7 @@ from tactile_loc.core.geometry.hand_eye import (
     predict,
 )
 from tactile_loc.core.geometry.lie import compute_pose_errors, move_covariance
-from tactile_loc.core.geometry.rigid import Poses, rotation_angle
+from tactile_loc.core.geometry.rigid import Bools, Floats, Poses, rotation_angle
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.joint_registration import JointRegistration
 from tactile_loc.core.runtime.errors import GridError, MountError, TouchError
@@ -47,7 +46,6 @@ SHORT = 0.25  # a touch agrees if its imprint IoU is less than this below that o
 ROUNDS, STILL_M = 30, 5e-6  # most steps of refinement, and motion below which they end
 REJECTIONS = 3  # rounds of looking for touches that contradict the others
 NOTHING = np.diag([0.03**2] * 3 + [3.0**2] * 3)  # covariance (6, 6), m and rad, if a touch determines nothing
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +61,7 @@ class FlangeTouches:
     def __len__(self) -> int:
         return len(self.touches)
 
-    def select(self, some: NDArray[np.bool_]) -> FlangeTouches:
+    def select(self, some: Bools) -> FlangeTouches:
         """Return the touches marked in `some` (N,)."""
         return FlangeTouches(tuple(itertools.compress(self.touches, some)), self.T_base_flange[some])
 
@@ -85,7 +83,7 @@ class HandEyeCalibration:
     given: FlangeTouches
     guess: HandEyeStart
     fit: HandEyeFit
-    kept: NDArray[np.bool_]
+    kept: Bools
     T_sensor_object: Poses
     imprint_ious: Floats
     best_ious: Floats
@@ -203,7 +201,7 @@ def _locate(localizer: Localizer, touches: Sequence[Touch]) -> list[tuple[Hypoth
     return found
 
 
-def _is_near(T_flange_sensor: Poses, nominal: Floats) -> NDArray[np.bool_]:
+def _is_near(T_flange_sensor: Poses, nominal: Floats) -> Bools:
     rotated = rotation_angle(nominal[:3, :3].T @ T_flange_sensor[:, :3, :3])
     far_m = np.linalg.norm(T_flange_sensor[:, :3, 3] - nominal[:3, 3], axis=1)
     return np.asarray((far_m < NOMINAL_M) & (rotated < NOMINAL_RAD))
@@ -243,7 +241,7 @@ class _Registration:
         views = [View(touch, localizer.scene.match_touch(touch)) for touch in given.touches]
         return cls(given, views, localizer.registration, PoseMetric(localizer.object))
 
-    def converge(self, X: Floats, Y: Floats, some: NDArray[np.bool_], finely: bool = False) -> tuple[Floats, Floats]:
+    def converge(self, X: Floats, Y: Floats, some: Bools, finely: bool = False) -> tuple[Floats, Floats]:
         """Fit X and Y to the touches marked in `some` (N,). Pass `finely` if X and Y are already near the result."""
         scales_mm = self.registration.list_scales_mm(ROUNDS)
         F = self.given.T_base_flange[some]
@@ -269,7 +267,7 @@ class _Registration:
         std = np.array([[t.T_base_sensor_std_m] * 3 + [t.T_base_sensor_std_rad] * 3 for t in self.given.touches])
         return S, own + move_covariance(std[:, None] ** 2 * np.eye(6), S[:, :3, 3] - self.given.gel_m)
 
-    def find_trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> NDArray[np.bool_]:
+    def find_trusted(self, X: Floats, Y: Floats, best_ious: Floats) -> Bools:
         """Mark the touches (N,) that agree with X and Y, both in the object's pose and in its imprint."""
         chi2 = fit_hand_eye(self.given.T_base_flange, *self.measure(X, Y), X, Y, robust=True).chi2
         agrees = self.compute_imprint_ious(X, Y) > best_ious - SHORT

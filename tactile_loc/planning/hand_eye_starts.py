@@ -11,10 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.hand_eye import predict, screws_agree, solve_closed_form
-from tactile_loc.core.geometry.rigid import Poses, rotation_angle
+from tactile_loc.core.geometry.rigid import Bools, Floats, Ints, Poses, rotation_angle
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 
 AGREES_M = 4e-3  # largest surface distance between a hypothesis and a predicted pose that agree
@@ -23,8 +22,6 @@ TURN_RAD = np.radians(6.0)  # step between the tried rotations of a continuous s
 MOST_SEEN = 20_000  # hypotheses that are used, including their equivalents by symmetry
 ANCHORS, TRIANGLES = 100, 300  # hypotheses from which triples are formed, and triples tried for each
 ANOTHER_M, ANOTHER_RAD = 8e-3, np.radians(15.0)  # two guesses that differ by more than this are different
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +42,7 @@ def list_hand_eye_starts(
     hypotheses: Sequence[Poses],
     metric: PoseMetric,
     count: int,
-    allowed: Callable[[Poses], NDArray[np.bool_]] | None = None,
+    allowed: Callable[[Poses], Bools] | None = None,
 ) -> list[HandEyeStart]:
     """Return at most `count` different mounts on which touches agree, the best first; there may be none.
 
@@ -151,7 +148,7 @@ class _Nodes:
         others = others[self._rotate_alike(np.full(len(others), k), others)]
         return others[self._agree(np.full(len(others), k), others)]
 
-    def _rotate_alike(self, first: Ints, second: Ints) -> NDArray[np.bool_]:
+    def _rotate_alike(self, first: Ints, second: Ints) -> Bools:
         """Return whether pairs of nodes rotated by about the same angle as their flanges: a quick first test."""
         angles = [
             np.arccos(np.clip(0.5 * (np.einsum("nij,nij->n", T[first, :3, :3], T[second, :3, :3]) - 1.0), -1.0, 1.0))
@@ -159,6 +156,6 @@ class _Nodes:
         ]
         return np.asarray(np.abs(angles[0] - angles[1]) < ANGLE_RAD)
 
-    def _agree(self, first: Ints, second: Ints) -> NDArray[np.bool_]:
+    def _agree(self, first: Ints, second: Ints) -> Bools:
         F, S = self.flanges, self.poses
         return screws_agree(F[first], F[second], S[first], S[second], ANGLE_RAD, SLIDE_M)

@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.core.geometry.rigid import Floats, make_translation
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.approach_files import Approach
 from tactile_loc.locate.result.localization import Localization
@@ -41,7 +40,7 @@ def suggest_next_step(found: Localization) -> str:
 def list_shifted(found: Localization) -> Iterator[Approach]:
     """Yield presses beside the first touch, named by their distance and direction from it."""
     T = found.touch.T_base_sensor
-    T_base_sensor: NDArray[np.float64] = np.eye(4) if T is None else np.asarray(T)
+    T_base_sensor: Floats = np.eye(4) if T is None else np.asarray(T)
     for name, (x, y) in SIDES.items():
         for mm in SHIFTS_MM:
             shift_m = 1e-3 * np.array([x * mm, y * mm, -BACK_MM])

@@ -16,9 +16,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Ints, invert
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.gel_surface import deform_gel, mark_touching
 from tactile_loc.core.sensing.scene import Scene
@@ -30,9 +29,6 @@ from tactile_loc.planning.touch_evidence import compare_contacts, compare_elasti
 from tactile_loc.slots.registry import registry
 from tactile_loc.slots.renderer import Renderer
 from tactile_loc.tracking.pose_modes import PoseModes, compute_entropy
-
-Float64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 LOOKED_AT_PX = 24  # pixels along the long side of contacts that are compared
 MOST_DRAWN = 1500  # approaches whose contacts are rendered: the best ones by travel alone
@@ -72,8 +68,8 @@ class Foreseen:
     `blocked` (A, K) is true where the sensor's gel starts inside or beyond the object.
     """
 
-    T_sensor_object: Float64
-    travel_m: Float64
+    T_sensor_object: Floats
+    travel_m: Floats
     meets: Bools
     blocked: Bools
 
@@ -93,7 +89,7 @@ class RatedApproach:
     safe: float
     entropy: float
     meets: float
-    travel_m: Float64
+    travel_m: Floats
     cost: float
 
     @property
@@ -147,7 +143,7 @@ class NextTouch:
         p = self.modes.probabilities
         return float(sum(p[list(group)].sum() - p[list(group)].max() for group in self.alike))
 
-    def contacts(self, rated: RatedApproach) -> NDArray[np.float32]:
+    def contacts(self, rated: RatedApproach) -> Float32:
         """Return the contact depths (K, H, W), metres, that the sensor would see of each mode.
 
         The press depth means that the gel is not displaced.
@@ -165,7 +161,7 @@ class NextTouch:
 
 def choose_next_touch(
     found: Localization | PoseModes,
-    approaches: Sequence[Approach | Float64],
+    approaches: Sequence[Approach | Floats],
     cost: Cost | None = None,
     renderer: Renderer | None = None,
     clearance: Clearance | None = None,
@@ -227,7 +223,7 @@ def foresee(scene: Scene, modes: PoseModes, approaches: Sequence[Approach]) -> F
     return Foreseen(T_contact, travel_m, over & (travel_m >= 0) & (travel_m <= longest_m), over & (travel_m < 0))
 
 
-def compute_expected_entropy(nats: Float64, probabilities: Float64, located: Float64) -> Float64:
+def compute_expected_entropy(nats: Floats, probabilities: Floats, located: Floats) -> Floats:
     """Return the entropy (A,), nats, expected after each of A touches, for modes with probabilities (K,).
 
     `nats` (A, K, K) is the evidence that the touch of mode i gives for mode i against mode j. `located` (A, K), 0 to 1,
@@ -253,8 +249,8 @@ def find_groups(alike: Bools) -> tuple[tuple[int, ...], ...]:
 
 
 def _expect_entropies(
-    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, costs: Float64
-) -> Float64:
+    scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, costs: Floats
+) -> Floats:
     """Return the expected entropy (A, 2), nats, with full and with cautious weights.
 
     All approaches are rated by travel, and the most promising ones by contact as well.
@@ -275,7 +271,7 @@ def _weigh_fully(modes: PoseModes) -> Weights:
 
 def _compare_drawn(
     scene: Scene, approaches: Sequence[Approach], seen: Foreseen, modes: PoseModes, several: Sequence[Weights]
-) -> list[tuple[Float64, Float64]]:
+) -> list[tuple[Floats, Floats]]:
     """Return the arguments `nats` and `located` of `compute_expected_entropy` for each of several weights.
 
     They come from travels and rendered contacts.
@@ -303,7 +299,7 @@ def _compare_drawn(
     return [(np.minimum(nats, MOST_NATS), located) for nats, located in found]
 
 
-def _draw(glance: Scene, modes: PoseModes, seen: Foreseen) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
+def _draw(glance: Scene, modes: PoseModes, seen: Foreseen) -> list[tuple[Ints, Float32]]:
     """Return the modes that each approach meets, and the contact depths (M, h, w), metres, that they would make."""
     poses, of = seen.T_sensor_object[seen.meets], np.nonzero(seen.meets)[1]
     every = np.empty((len(poses), *glance.geometry.shape), np.float32)
@@ -315,7 +311,7 @@ def _draw(glance: Scene, modes: PoseModes, seen: Foreseen) -> list[tuple[NDArray
     return [(np.flatnonzero(meets), some) for meets, some in zip(seen.meets, np.split(every, ends[:-1]), strict=True)]
 
 
-def _expect_located(depth_m: NDArray[np.float32], geometry: SensorGeometry, half_m2: float) -> Float64:
+def _expect_located(depth_m: Float32, geometry: SensorGeometry, half_m2: float) -> Floats:
     """Return how probably contacts (M, h, w) can be located, 0 to 1: see `Weights`.
 
     It is 0 for a contact that is too small for a touch, and for a flat face all over the sensor.
@@ -327,7 +323,7 @@ def _expect_located(depth_m: NDArray[np.float32], geometry: SensorGeometry, half
     return np.asarray(np.where(usable, area_m2 / np.where(usable, area_m2 + half_m2, 1.0), 0.0))
 
 
-def _compare_travels(seen: Foreseen, std_m: float) -> Float64:
+def _compare_travels(seen: Foreseen, std_m: float) -> Floats:
     """Return the evidence (A, K, K), nats, of the travel for mode i against mode j."""
     apart_m = seen.travel_m[:, :, None] - seen.travel_m[:, None, :]
     both = seen.meets[:, :, None] & seen.meets[:, None, :]
@@ -336,7 +332,7 @@ def _compare_travels(seen: Foreseen, std_m: float) -> Float64:
     return np.asarray(np.minimum(nats, MOST_NATS))
 
 
-def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Float64) -> list[str]:
+def _explain_out_of_reach(seen: Foreseen, modes: PoseModes, costs: Floats) -> list[str]:
     """Return the reason why each approach (A,) cannot be made; "" if it can be made."""
     inside = seen.blocked @ modes.probabilities
     return [
@@ -361,7 +357,7 @@ def _add_collisions(
         reasons[k] = reason
 
 
-def _require_usable(approaches: Sequence[Approach], costs: Float64, modes: PoseModes) -> None:
+def _require_usable(approaches: Sequence[Approach], costs: Floats, modes: PoseModes) -> None:
     for number, (approach, price) in enumerate(zip(approaches, costs, strict=True), start=1):
         name = approach.name or f"approach {number}"
         if not price > 0:
@@ -378,5 +374,5 @@ def _find_press_m(approach: Approach, modes: PoseModes) -> float:
     return modes.press_m if approach.press_m is None else approach.press_m
 
 
-def _select(seen: Foreseen, which: Sequence[int] | NDArray[np.int64]) -> Foreseen:
+def _select(seen: Foreseen, which: Sequence[int] | Ints) -> Foreseen:
     return Foreseen(*(getattr(seen, field.name)[which] for field in dataclasses.fields(seen)))

@@ -5,16 +5,13 @@ contact gives evidence.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats
 from tactile_loc.core.sensing.gel_surface import SLACK, mark_touching
 from tactile_loc.core.sensing.imprints import AREA_NATS, DEPTH_NATS, IOU_NATS, OUTLINE_SHARE, compare_imprints
 
-Float64 = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
-
-def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float) -> Float64:
+def compare_contacts(depth_m: Float32, press_m: float, observed: Bools, pixel_pitch_m: float) -> Floats:
     """Return the evidence (K, K), nats, of each of K contacts for the mode that made it, against each other mode.
 
     Element (i, j) is the evidence that contact i gives for depths i, minus the evidence that it gives for depths j
@@ -39,8 +36,8 @@ def compare_contacts(depth_m: NDArray[np.float32], press_m: float, observed: Boo
 
 
 def compare_elastic_contacts(
-    depth_m: NDArray[np.float32], shown_m: NDArray[np.float32], press_m: float, observed: Bools, pixel_pitch_m: float
-) -> Float64:
+    depth_m: Float32, shown_m: Float32, press_m: float, observed: Bools, pixel_pitch_m: float
+) -> Floats:
     """Return the evidence (K, K), nats, of each of K contacts with an elastic gel, as `compare_contacts` does.
 
     `depth_m` (K, H, W), metres, are the contact depths in a rigid gel, and `shown_m` (K, H, W) those that the elastic

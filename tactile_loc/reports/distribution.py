@@ -8,13 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
+from tactile_loc.core.geometry.rigid import Floats, Ints, Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-
-Array = NDArray[np.float64]
 
 PATCHES = 1500  # area of the surface, divided by the square of the longest edge
 MOST_SPLITS = 40
@@ -34,17 +31,17 @@ class SurfaceDistribution:
     """
 
     mesh: TriangleMesh
-    mass: Array
-    area_m2: Array
+    mass: Floats
+    area_m2: Floats
     spread_m: float
 
     @property
-    def density(self) -> Array:
+    def density(self) -> Floats:
         """Probability per area at each vertex (V,), 1/m^2."""
         return self.mass / np.maximum(self.area_m2, 1e-15)
 
 
-def find_touched_vertices(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.int64]:
+def find_touched_vertices(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Ints:
     """Return the index (N,) of the vertex nearest to the sensor's centre at each pose (N, 4, 4), metres."""
     from scipy.spatial import cKDTree
 
@@ -53,7 +50,7 @@ def find_touched_vertices(mesh: TriangleMesh, T_sensor_object: Poses, geometry: 
 
 
 def spread_over_surface(
-    mesh: TriangleMesh, T_sensor_object: Poses, weights: Array, geometry: SensorGeometry, spread_m: float
+    mesh: TriangleMesh, T_sensor_object: Poses, weights: Floats, geometry: SensorGeometry, spread_m: float
 ) -> SurfaceDistribution:
     """Return the probability, over the surface, of where the sensor's centre touches.
 
@@ -68,7 +65,7 @@ def spread_over_surface(
     return SurfaceDistribution(fine, _spread(fine, mass, area, spread_m), area, spread_m)
 
 
-def _spread(mesh: TriangleMesh, mass: Array, area_m2: Array, spread_m: float) -> Array:
+def _spread(mesh: TriangleMesh, mass: Floats, area_m2: Floats, spread_m: float) -> Floats:
     """Spread masses (V,) to nearby vertices; the sum of all masses stays the same."""
     from scipy.spatial import cKDTree
 
@@ -96,9 +93,7 @@ def split_long_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
     return TriangleMesh(places, same.ravel()[faces])
 
 
-def _split_longest(
-    vertices_m: Array, faces: NDArray[np.int64], longest_m: float
-) -> tuple[Array, NDArray[np.int64]] | None:
+def _split_longest(vertices_m: Floats, faces: Ints, longest_m: float) -> tuple[Floats, Ints] | None:
     """Halve the longest edge of every face if it exceeds `longest_m` metres. Return None if no edge does."""
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], -1)
     lengths = np.linalg.norm(vertices_m[ends[..., 0]] - vertices_m[ends[..., 1]], axis=-1)
@@ -114,13 +109,13 @@ def _split_longest(
     return np.concatenate([vertices_m, vertices_m[edges].mean(axis=1)]), np.concatenate([faces[~long], *halves])
 
 
-def compute_vertex_areas(mesh: TriangleMesh) -> Array:
+def compute_vertex_areas(mesh: TriangleMesh) -> Floats:
     """Return, for each vertex (V,), a third of the area of the faces around it, in square metres."""
     areas = np.repeat(mesh.face_areas / 3.0, 3)
     return np.bincount(mesh.faces.ravel(), areas, len(mesh.vertices_m)).astype(float)
 
 
-def compute_yaw_rad(R: Array) -> Array:
+def compute_yaw_rad(R: Floats) -> Floats:
     """Return the yaw (N,) about the sensor's z of rotations R_sensor_object (N, 3, 3), radians, -pi to pi.
 
     R = Rz(yaw) A. A is the smallest rotation that makes the facing side face the sensor (`align_to_z`). The rotation
@@ -131,7 +126,7 @@ def compute_yaw_rad(R: Array) -> Array:
     return np.where(flipped, np.arctan2(R[:, 1, 0], R[:, 0, 0]), yaw)
 
 
-def count_yaws(R: Array, weights: Array) -> dict[str, Any]:
+def count_yaws(R: Floats, weights: Floats) -> dict[str, Any]:
     """Sum the weights (N,), with sum one, of rotations R_sensor_object (N, 3, 3) by yaw about the sensor's +z.
 
     Returns JSON values: the middles `deg` (B,) of bars, which are `width` degrees wide, and the probability `percent`
@@ -151,7 +146,7 @@ def count_yaws(R: Array, weights: Array) -> dict[str, Any]:
     return {"deg": middles.round(3).tolist(), "percent": percent.tolist(), "width": width_deg}
 
 
-def map_sides(R: Array, weights: Array) -> dict[str, Any]:
+def map_sides(R: Floats, weights: Floats) -> dict[str, Any]:
     """Sum the weights (N,), with sum one, of rotations R_sensor_object (N, 3, 3) by the side that faces the sensor.
 
     Returns JSON values: the probability `percent` (Y, X) of bins with the edges `x` and `y`, degrees, and the `normal`
@@ -161,8 +156,8 @@ def map_sides(R: Array, weights: Array) -> dict[str, Any]:
     Kind "globe": the bins are the azimuth and elevation of the facing side in the object frame, with equal areas;
     `normal` is the side of the most probable rotation.
     """
-    facing: Array = -R[:, 2, :]
-    mean: Array = facing.mean(axis=0)
+    facing: Floats = -R[:, 2, :]
+    mean: Floats = facing.mean(axis=0)
     normal = mean / max(float(np.linalg.norm(mean)), 1e-6)
     widest_deg = float(np.degrees(np.arccos(np.clip(facing @ normal, -1, 1))).max())
     kind, x, y, mass = "one", np.zeros(0), np.zeros(0), np.ones((1, 1))

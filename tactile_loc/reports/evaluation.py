@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation import metrics, paper_tables
@@ -231,7 +231,7 @@ def _collect_errors(run: Run, table: ExampleTable) -> dict[str, Any]:
     }
 
 
-def _round(values: NDArray[np.float64], digits: int = DIGITS) -> list[float]:
+def _round(values: Floats, digits: int = DIGITS) -> list[float]:
     return [float(f"{value:.{digits}g}") for value in values]
 
 
@@ -288,6 +288,6 @@ def collect_bins(table: ExampleTable) -> Iterator[dict[str, Any]]:
             yield {"stated": 100 * one.stated, "right": 100 * one.right, "examples": one.examples}
 
 
-def sort_errors_mm(errors_m: NDArray[np.float64], digits: int = DIGITS_OF_ANSWERS) -> list[float]:
+def sort_errors_mm(errors_m: Floats, digits: int = DIGITS_OF_ANSWERS) -> list[float]:
     """Return errors (E,), metres, in mm in ascending order; BEYOND_MM stands for an example without a pose."""
     return _round(np.minimum(1e3 * np.sort(errors_m), BEYOND_MM), digits)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.formatting import format_millimetres
 from tactile_loc.evaluation.metrics import LEVELS
 from tactile_loc.evaluation.paper_tables import find_scale_m, measure_coverage, normalise_errors, summarise_lines
@@ -147,7 +148,7 @@ def _scale_errors(axes: Axes, lowest: float) -> None:
     axes.set_yticks(minor[minor < top], minor=True)
 
 
-def _draw_violin(axes: Axes, place: float, width: float, values: NDArray[np.float64], colour: str) -> None:
+def _draw_violin(axes: Axes, place: float, width: float, values: Floats, colour: str) -> None:
     """Draw the distribution of values (T,) on a logarithmic axis, its quartiles as a bar, its median as a dot."""
     logarithms = _take_logarithm(values)
     if np.ptp(logarithms) > 1e-9:  # a density needs different values
@@ -171,11 +172,11 @@ def _make_handles(colours: dict[str, str]) -> list[Any]:
     ]
 
 
-def _take_logarithm(values: NDArray[np.float64] | np.floating[Any]) -> NDArray[np.float64]:
+def _take_logarithm(values: Floats | np.floating[Any]) -> Floats:
     return np.asarray(np.log10(np.maximum(values, FLOOR)))
 
 
-def _choose_touches(errors_m: NDArray[np.float64]) -> list[tuple[str, int]]:
+def _choose_touches(errors_m: Floats) -> list[tuple[str, int]]:
     """Return up to EACH best, median and worst touches, each with its kind, in order of increasing error."""
     order = np.argsort(errors_m, kind="stable")
     each = min(EACH, max(1, len(order) // 3))

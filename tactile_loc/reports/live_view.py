@@ -4,10 +4,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.pose_words import format_pose_words
-from tactile_loc.core.geometry.rigid import transform_points
+from tactile_loc.core.geometry.rigid import Floats, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.formatting import format_percent, show_name
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -21,8 +20,6 @@ from tactile_loc.reports.page import Page, Section
 from tactile_loc.tracking.live import LiveResult
 from tactile_loc.view.drawn_scene import DrawnSensor
 from tactile_loc.view.pose_panel import choose_view
-
-Array = NDArray[np.float64]
 
 NUMBERS = (  # name of the element, label, meaning
     ("verdict", "verdict", "whether the pose can be trusted"),
@@ -122,7 +119,7 @@ def _compute_bounds(mesh: TriangleMesh, geometry: SensorGeometry) -> list[list[f
     return [[x0 - reach_mm, x1 + reach_mm], [y0 - reach_mm, y1 + reach_mm], [z - scene.MARGIN_MM, z + reach_mm]]
 
 
-def _place_above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
+def _place_above(mesh: TriangleMesh, geometry: SensorGeometry) -> Floats:
     """Return the pose (4, 4) of the unrotated object on the gel, for the view before the first result."""
     T = np.eye(4)
     T[:3, 3] = -mesh.vertices_m.mean(axis=0)
@@ -130,7 +127,7 @@ def _place_above(mesh: TriangleMesh, geometry: SensorGeometry) -> Array:
     return T
 
 
-def _place_camera(mesh: TriangleMesh, geometry: SensorGeometry, T: Array) -> dict[str, Any]:
+def _place_camera(mesh: TriangleMesh, geometry: SensorGeometry, T: Floats) -> dict[str, Any]:
     """Return a camera that sees the sensor, and the object at T (4, 4), metres."""
     housing = scene.build_pad(DrawnSensor(geometry))["housing"]
     corners = np.stack([housing[k] for k in "xyz"], axis=1)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.images import UNREADABLE, load_image
@@ -131,9 +132,7 @@ def write_gradient(name: str, steps: int = 9) -> str:
     return f"linear-gradient(to right, {', '.join(to_hex(c) for c in colormaps[name](np.linspace(0, 1, steps)))})"
 
 
-def _encode_shares(
-    share: NDArray[np.floating], shown: NDArray[np.bool_], observed: NDArray[np.bool_], colours: str
-) -> str:
+def _encode_shares(share: NDArray[np.floating], shown: Bools, observed: Bools, colours: str) -> str:
     """Return a picture of shares (H, W), 0 to 1, as a data URI.
 
     Pixels outside of `shown` (H, W) are transparent. Pixels outside of `observed` (H, W) are dim.

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, format_pose
+from tactile_loc.core.geometry.rigid import Floats, Poses, format_pose
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.formatting import format_millimetres, format_percent
 from tactile_loc.core.sensing.scene import View
@@ -70,7 +69,7 @@ def collect_data(found: Localization) -> dict[str, Any]:
     }
 
 
-def compute_weights(posterior: PosePosterior) -> NDArray[np.float64]:
+def compute_weights(posterior: PosePosterior) -> Floats:
     """Return the probabilities (N,) of a posterior's poses, scaled to sum to one."""
     p = posterior.probabilities
     return np.asarray(p / p.sum())

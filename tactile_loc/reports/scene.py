@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, transform_points
+from tactile_loc.core.geometry.rigid import Floats, Poses, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.reports.distribution import SurfaceDistribution, find_touched_vertices
@@ -19,8 +19,6 @@ from tactile_loc.view.drawn_scene import DrawnScene, DrawnSensor
 from tactile_loc.view.pictures import group_nearby
 from tactile_loc.view.pose_panel import GEL_MM, RIM_MM, choose_view, list_round_values
 from tactile_loc.view.raytracing import CREASE_DEG, Viewpoint, compute_normals
-
-Array = NDArray[np.float64]
 
 ELEVATION_DEG = 28.0
 ASIDE_DEG = 25.0  # angle between the view and the peak's direction; seen from the side, the object looks solid
@@ -53,7 +51,7 @@ def build_sensor_scene(scene: DrawnScene) -> dict[str, Any]:
 
 
 def build_surface_scene(
-    found: SurfaceDistribution, poses: Poses, truth: Array | None, geometry: SensorGeometry
+    found: SurfaceDistribution, poses: Poses, truth: Floats | None, geometry: SensorGeometry
 ) -> dict[str, Any]:
     """Return the scene of the object's surface, coloured by the density.
 
@@ -78,7 +76,7 @@ def build_surface_scene(
     }
 
 
-def _place_marks(mesh: TriangleMesh, poses: Poses, truth: Array | None, geometry: SensorGeometry) -> dict[str, Any]:
+def _place_marks(mesh: TriangleMesh, poses: Poses, truth: Floats | None, geometry: SensorGeometry) -> dict[str, Any]:
     """Return marks for the first candidates and the true pose, a little above the surface. Nearby marks are merged."""
     names = [*map(str, range(1, 1 + min(NAMED, len(poses)))), *([] if truth is None else ["true"])]
     named = np.stack([*poses[:NAMED], *([] if truth is None else [truth])])
@@ -99,7 +97,7 @@ def pack_mesh(mesh: TriangleMesh) -> dict[str, str]:
     return {"vertices_mm": pack_array(1e3 * mesh.vertices_m, "<f4"), "faces": pack_array(mesh.faces, "<i4")}
 
 
-def list_rows_mm(T: Array) -> list[float]:
+def list_rows_mm(T: Floats) -> list[float]:
     """Return the first three rows of a transform (4, 4) in metres as twelve numbers, with the translation in mm."""
     rows = np.array(T[:3], float)
     rows[:, 3] *= 1e3
@@ -129,7 +127,7 @@ def find_creases(mesh: TriangleMesh) -> list[list[int]]:
     return sharp
 
 
-def compute_bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable[dict[str, Any]]) -> list[list[float]]:
+def compute_bounds_mm(mesh: TriangleMesh, poses: Sequence[Floats], pads: Iterable[dict[str, Any]]) -> list[list[float]]:
     """Return the ranges (low, high) along x, y and z, in mm, that contain the pads and the object at all poses."""
     clouds = [1e3 * transform_points(T, mesh.vertices_m) for T in poses]
     clouds += [_stack_points(one["housing"]) for one in pads]
@@ -138,7 +136,7 @@ def compute_bounds_mm(mesh: TriangleMesh, poses: Sequence[Array], pads: Iterable
     return [[round(float(a - MARGIN_MM), 2), round(float(b + MARGIN_MM), 2)] for a, b in zip(low, high, strict=True)]
 
 
-def place_camera(points_mm: Array, bounds: Sequence[Sequence[float]], view: Viewpoint) -> dict[str, dict[str, float]]:
+def place_camera(points_mm: Floats, bounds: Sequence[Sequence[float]], view: Viewpoint) -> dict[str, dict[str, float]]:
     """Return a camera for plotly that sees all points (P, 3), mm, from a view; `bounds` are the axes' ranges.
 
     Plotly's unit of length is the geometric mean of the ranges. Plotly's origin is the middle of the ranges, and its
@@ -154,7 +152,7 @@ def place_camera(points_mm: Array, bounds: Sequence[Sequence[float]], view: View
     return {name: {k: round(float(v), 5) for k, v in zip("xyz", place, strict=True)} for name, place in places.items()}
 
 
-def choose_view_on(point: Array, centre: Array) -> Viewpoint:
+def choose_view_on(point: Floats, centre: Floats) -> Viewpoint:
     """Return a view in which a point (3,) of a surface lies in front of the surface's centre."""
     x, y, z = point - centre
     azimuth_deg = float(np.degrees(np.arctan2(x, -y)))
@@ -162,7 +160,7 @@ def choose_view_on(point: Array, centre: Array) -> Viewpoint:
     return Viewpoint(azimuth_deg + ASIDE_DEG, float(np.clip(elevation_deg, -60, 60)))
 
 
-def build_triad(box_mm: Array, view: Viewpoint, length_mm: float) -> dict[str, Any]:
+def build_triad(box_mm: Floats, view: Viewpoint, length_mm: float) -> dict[str, Any]:
     """Return lines and names of the frame's axes at the corner of a box (3, 2), mm, that is lower left in the view."""
     corners = np.array(np.meshgrid(*box_mm, indexing="ij")).reshape(3, -1).T
     origin_mm = corners[(view.project(corners) @ [1.0, 1.0]).argmin()]
@@ -189,24 +187,24 @@ def write_number(value: float) -> str:
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 
-def _stack_points(columns: Mapping[str, Any]) -> Array:
+def _stack_points(columns: Mapping[str, Any]) -> Floats:
     """Return points (P, 3) from their separate coordinates x, y and z."""
     return np.stack([columns[k] for k in "xyz"], axis=1)
 
 
-def _split_columns(points: Array) -> dict[str, list[float]]:
+def _split_columns(points: Floats) -> dict[str, list[float]]:
     """Return the separate coordinates x, y and z of points (P, 3)."""
     return {name: np.round(points[:, k], 3).tolist() for k, name in enumerate("xyz")}
 
 
-def _list_triangles(triangles_m: Array) -> dict[str, list[float]]:
+def _list_triangles(triangles_m: Floats) -> dict[str, list[float]]:
     """Return triangles (F, 3, 3), metres, as a plotly mesh in mm."""
     corners = 1e3 * triangles_m.reshape(-1, 3)
     numbers = np.arange(len(corners)).reshape(-1, 3)
     return _split_columns(corners) | {name: numbers[:, k].tolist() for k, name in enumerate("ijk")}
 
 
-def join_lines(lines_m: Sequence[Array]) -> dict[str, list[float | None]]:
+def join_lines(lines_m: Sequence[Floats]) -> dict[str, list[float | None]]:
     """Return lines (P, 3), metres, as a single line with gaps, in mm."""
     columns: dict[str, list[float | None]] = {"x": [], "y": [], "z": []}
     for line in lines_m:

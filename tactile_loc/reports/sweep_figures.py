@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.evaluation.sweep.plan import find_varying_slots, name_choices
 from tactile_loc.evaluation.sweep.sweep import ChoiceMedian, Sweep
@@ -104,7 +105,7 @@ def find_pareto_front(found: Points) -> list[Point]:
     return front
 
 
-def compute_effects(sweep: Sweep, line: str) -> dict[str, dict[str, NDArray[np.float64]]]:
+def compute_effects(sweep: Sweep, line: str) -> dict[str, dict[str, Floats]]:
     """Return natural logarithms (K,) of error ratios for each choice of each slot that varies.
 
     A ratio divides the error with this choice by the geometric mean over all choices of the slot, all else being equal.
@@ -266,7 +267,7 @@ def _write_list(axes: Axes, found: Points, front: Points, numbers: Mapping[tuple
         axes.set_title(f"the Pareto front and the next best, {len(rows)} of {len(ordered)}", size=9, loc="left")
 
 
-def _locate_points(axes: Axes, found: Points) -> NDArray[np.float64]:
+def _locate_points(axes: Axes, found: Points) -> Floats:
     """Return the approximate positions (N, 2) of points in a panel, in 1/72 inch, before margins are laid out."""
     figure = axes.get_figure()
     height = (figure.get_figheight() if figure else 1.0) / axes.get_gridspec().nrows  # type: ignore[union-attr]
@@ -275,7 +276,7 @@ def _locate_points(axes: Axes, found: Points) -> NDArray[np.float64]:
     return share * [72 * 0.8 * PANEL, 72 * (height - 1.6)]
 
 
-def _draw_effect(axes: Axes, title: str, ratios: Mapping[str, NDArray[np.float64]]) -> None:
+def _draw_effect(axes: Axes, title: str, ratios: Mapping[str, Floats]) -> None:
     """Draw the choices of a slot from top to bottom, on an axis of natural logarithms of ratios."""
     axes.axvline(0, color=FAINT, lw=1.2, zorder=1)
     for place, (values, colour) in enumerate(zip(ratios.values(), COLOURS * len(ratios), strict=False)):
@@ -292,7 +293,7 @@ def _draw_effect(axes: Axes, title: str, ratios: Mapping[str, NDArray[np.float64
     axes.tick_params(axis="y", length=0)
 
 
-def _scale_ratios(axes: Axes, values: NDArray[np.float64]) -> None:
+def _scale_ratios(axes: Axes, values: Floats) -> None:
     """Label an axis of natural logarithms with ratios."""
     reach = max(0.1, 1.08 * float(np.abs(values).max()))
     tried = (1, 1.5, 2, 3, 5, 10, 20, 50, 100, 1000, 10000) if reach > 1 else (1, 1.1, 1.25, 1.5, 2)
@@ -317,7 +318,7 @@ class NumberLabel(NamedTuple):
     alignment: str
 
 
-def place_labels(places_pt: NDArray[np.float64], numbers: Sequence[int]) -> list[NumberLabel]:
+def place_labels(places_pt: Floats, numbers: Sequence[int]) -> list[NumberLabel]:
     """Return labels for points (N, 2), in 1/72 inch, with these numbers.
 
     Nearly coincident points share a label. Each label takes the first of OFFSETS at which it covers nothing, or the

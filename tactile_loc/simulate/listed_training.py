@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Float32
+from tactile_loc.core.geometry.rigid import Float32, Floats, Ints
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.gel_surface import deform_gel
@@ -27,7 +26,7 @@ class ListedTouches(TrainingTouches):
     """
 
     depth_m: Float32
-    labels: NDArray[np.int64]
+    labels: Ints
     noise: TouchNoise
     geometry: SensorGeometry
 
@@ -73,7 +72,7 @@ class ListedProblem(TrainingProblem):
         return self.scene.geometry
 
     @property
-    def key_presses_m(self) -> NDArray[np.float64]:
+    def key_presses_m(self) -> Floats:
         """The sensor's maximal depth (1,), metres."""
         return np.array([self.scene.geometry.max_depth_m])
 
@@ -87,14 +86,14 @@ class ListedProblem(TrainingProblem):
     def draw(self, count: int, noise: TouchNoise, rng: np.random.Generator) -> TrainingTouches:
         """Render `count` touches at random poses from the continuous set that the grid covers."""
         depths: list[Float32] = []
-        labels: list[NDArray[np.int64]] = []
+        labels: list[Ints] = []
         misplace = partial(noise.misplace, geometry=self.geometry, rng=rng)
         for poses, depth in draw_contacts(self.sampler, self.scene, count, rng, misplace):
             depths.append(depth)
             labels.append(self.grid.nearest(poses)[1])
         return ListedTouches(np.concatenate(depths), np.concatenate(labels), noise, self.geometry)
 
-    def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
+    def key_distances(self, first: Ints, second: Ints) -> Floats:
         """Return the distances (K,), metres, between grid poses `first` and `second` (K,), ignoring symmetry."""
         phi = self.grid.phi
         return np.asarray(np.linalg.norm(phi[first] - phi[second], axis=1))

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Float32, Poses, invert, make_transform
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Ints, Poses, invert, make_transform
 from tactile_loc.core.places.places import CAMERA, HIGHEST_M, PATCH_PX, PITCH_M, PRESS_STEP_M, Places
 from tactile_loc.core.places.rotated_patches import find_anchor, rotate_patches
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
@@ -50,9 +50,9 @@ class Labels(NamedTuple):
     The yaw rotates a touch so that it is nearest to its place.
     """
 
-    numbers: NDArray[np.int64]
-    yaw_rad: NDArray[np.float64]
-    off_m: NDArray[np.float64]
+    numbers: Ints
+    yaw_rad: Floats
+    off_m: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class PlaceProblem(TrainingProblem):
         return CAMERA
 
     @property
-    def key_presses_m(self) -> NDArray[np.float64]:
+    def key_presses_m(self) -> Floats:
         """The depths (P,), metres, at which touches are cut, from that of a light press, in steps of PRESS_STEP_M."""
         geometry = self.scene.geometry
         deepest_m = min(HIGHEST_M, geometry.max_depth_m * geometry.gel.compared_share)
@@ -123,7 +123,7 @@ class PlaceProblem(TrainingProblem):
             f"hardly any random touch of {self.scene.object.name} is near a place of the grid; raise grid.directions"
         )
 
-    def _is_near_place(self, depths_m: Float32, T_sensor_object: Poses) -> NDArray[np.bool_]:
+    def _is_near_place(self, depths_m: Float32, T_sensor_object: Poses) -> Bools:
         """Return which contact depths (M, H, W), metres, at the maximal depth, are valid touches near a place."""
         touches = [self.touch(depth, self.fine.geometry.max_depth_m) for depth in depths_m]
         near = np.array([touch is not None for touch in touches], np.bool_)
@@ -132,7 +132,7 @@ class PlaceProblem(TrainingProblem):
             near[near] = self.labels(some, T_sensor_object[near]).off_m <= self.reach_m
         return near
 
-    def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
+    def key_distances(self, first: Ints, second: Ints) -> Floats:
         """Return the pose distances (K,), metres, between places `first` (K,) and `second` (K,) at the best yaw."""
         T = self.places.T_place_object
         return np.array(
@@ -213,9 +213,7 @@ class PlaceTouches(TrainingTouches):
         depth_m = np.minimum(depth_m, np.float32(press_m))
         return TrainingBatch(depth_m, seen, np.full(count, press_m), labels.numbers, counts)
 
-    def _make_noisy(
-        self, chosen: NDArray[np.int64], rng: np.random.Generator, press_m: float
-    ) -> tuple[list[Touch], Labels]:
+    def _make_noisy(self, chosen: Ints, rng: np.random.Generator, press_m: float) -> tuple[list[Touch], Labels]:
         """Return the touches `chosen` (M,) with noise, or without it if noise would spoil them, and their labels."""
         problem, noise, poses = self.problem, self.noise, self.T_sensor_object[chosen]
         geometry, clean = problem.fine.geometry, self.depth_m[chosen]
@@ -252,8 +250,6 @@ def move_to_anchors(touches: Sequence[Touch], T_sensor_object: Poses) -> Poses:
     return np.asarray(invert(T_sensor_anchor) @ T_sensor_object)
 
 
-Float = NDArray[np.float64]
-
 AT_ONCE = 4_000_000  # largest number of pairs of poses compared together
 
 
@@ -268,7 +264,7 @@ class RotatedPoses:
     def __len__(self) -> int:
         return len(self._squared)
 
-    def nearest(self, T_sensor_object: Poses) -> tuple[Float, NDArray[np.int64], Float]:
+    def nearest(self, T_sensor_object: Poses) -> tuple[Floats, Ints, Floats]:
         """Return the index (M,) and the yaw (M,), rad, of the rotated pose nearest to each pose (M, 4, 4), metres.
 
         The first return value is the distance (M,), metres, up to the object's symmetry.
@@ -281,7 +277,7 @@ class RotatedPoses:
                 whole[start : start + step] = part
         return found
 
-    def _nearest(self, T_sensor_object: Poses) -> tuple[Float, NDArray[np.int64], Float]:
+    def _nearest(self, T_sensor_object: Poses) -> tuple[Floats, Ints, Floats]:
         rows = np.arange(len(T_sensor_object))
         least, index, yaw_rad = np.full(len(rows), np.inf), np.zeros(len(rows), np.int64), np.zeros(len(rows))
         for phi in self.metric.embed_orbits(T_sensor_object):
@@ -295,7 +291,7 @@ class RotatedPoses:
             yaw_rad = np.where(better, np.angle(rotated[rows, best]), yaw_rad)
         return np.sqrt(np.maximum(least, 0.0)), index, yaw_rad
 
-    def distances(self, T_sensor_object: Poses, numbers: NDArray[np.int64], yaw_rad: Float) -> Float:
+    def distances(self, T_sensor_object: Poses, numbers: Ints, yaw_rad: Floats) -> Floats:
         """Return the distances (M, V), metres, of poses (M, 4, 4) from the poses `numbers` (M,) at yaws (M, V), rad.
 
         Distances are up to the object's symmetry.
@@ -310,7 +306,7 @@ class RotatedPoses:
         return np.asarray(np.sqrt(np.maximum(least, 0.0)))
 
 
-def _rows(phi: Float) -> tuple[NDArray[np.complex128], Float]:
+def _rows(phi: Floats) -> tuple[NDArray[np.complex128], Floats]:
     """Split points (N, 3 k) of the metric's space into rows 0 and 1, as complex numbers (N, k), and row 2 (N, k).
 
     The last three numbers of a point are the centroid. The numbers before are a matrix (3, k - 1), row by row.
@@ -320,5 +316,5 @@ def _rows(phi: Float) -> tuple[NDArray[np.complex128], Float]:
     return columns[:, 0] + 1j * columns[:, 1], columns[:, 2]
 
 
-def _squared(across: NDArray[np.complex128], along: Float) -> Float:
+def _squared(across: NDArray[np.complex128], along: Floats) -> Floats:
     return np.asarray((np.abs(across) ** 2).sum(axis=1) + (along**2).sum(axis=1))

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, draw_rotations, invert, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Floats, Poses, draw_rotations, invert, make_transform, rotation_about
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.scene import Scene
@@ -50,7 +49,7 @@ def draw_resting_touches(
     return rest(named, T_base_object)
 
 
-def rest(touches: Sequence[Touch], T_base_object: NDArray[np.float64]) -> list[Touch]:
+def rest(touches: Sequence[Touch], T_base_object: Floats) -> list[Touch]:
     """Return touches with known true poses, with the sensor poses at which the object rests at `T_base_object` (4, 4).
 
     Raises TouchError if a true pose is unknown.
@@ -86,7 +85,7 @@ def draw_grip(
     raise TouchError(f"hardly any grip of {scene.object.name} makes contact at both fingers; press deeper")
 
 
-def face_each_other(T_sensor_object: NDArray[np.float64]) -> Poses:
+def face_each_other(T_sensor_object: Floats) -> Poses:
     """Return the poses (2, 4, 4) of an object in the frames of two opposed sensors, given its pose (4, 4) in one.
 
     Lengths are in metres. z of the second pose is arbitrary: bring the pose to contact.

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Float32, Poses, invert
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Poses, invert
 from tactile_loc.core.runtime.errors import NoContactError, TouchError
 from tactile_loc.core.sensing.noise import TouchNoise
 from tactile_loc.core.sensing.scene import Scene
@@ -70,7 +69,7 @@ def draw_touches(
 
 def press_touch(
     scene: Scene,
-    T_base_sensor: NDArray[np.float64],
+    T_base_sensor: Floats,
     press_depth_m: float,
     name: str = "simulated",
     noise: TouchNoise | None = None,
@@ -145,7 +144,7 @@ class PressNoise:
         kept = touching & [np.count_nonzero(s.contact & r) >= least for s, r in zip(shapes, real, strict=True)]
         return poses, [shape if ok else None for shape, ok in zip(shapes, kept, strict=True)]
 
-    def _render_depths(self, T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Float32:
+    def _render_depths(self, T_sensor_object: Poses, press_m: Floats) -> Float32:
         """Render contact depths (N, H, W), metres, at the maximal depth, of poses pressed by `press_m` (N,)."""
         depths = np.empty((len(press_m), *self.scene.geometry.shape), np.float32)
         for m in np.unique(press_m):
@@ -153,27 +152,27 @@ class PressNoise:
             depths[these] = scene.render_gel_depths(T_sensor_object[these])
         return depths
 
-    def _misplace(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
+    def _misplace(self, T_sensor_object: Poses) -> tuple[Poses, Bools]:
         """Return the real poses (N, 4, 4), metres, brought to contact, and which of them touch (N,)."""
         if not self.noise.misplaces:
             return T_sensor_object, np.ones(len(T_sensor_object), bool)
         return self.scene.bring_to_contact(self.noise.misplace(T_sensor_object, self.scene.geometry, self.rng))
 
-    def _draw_presses(self, count: int) -> NDArray[np.float64]:
+    def _draw_presses(self, count: int) -> Floats:
         """Return the depths (count,) of presses, metres."""
         if self.press_depth_m is not None:
             return np.full(count, self.press_depth_m)
         return self.noise.draw_press(count, self.scene.geometry.max_depth_m, self.rng)
 
 
-def lower(T_sensor_object: Poses, press_m: NDArray[np.float64]) -> Poses:
+def lower(T_sensor_object: Poses, press_m: Floats) -> Poses:
     """Return poses (N, 4, 4) that are `press_m` (N,) metres deeper in the sensor."""
     T = T_sensor_object.copy()
     T[:, 2, 3] -= press_m
     return T
 
 
-def make_touch(shape: ContactShape | None, scene: Scene, T: NDArray[np.float64], name: str) -> Touch | None:
+def make_touch(shape: ContactShape | None, scene: Scene, T: Floats, name: str) -> Touch | None:
     """Make one touch. Return None if there is no contact, or if a flat face covers the sensor."""
     try:
         return None if shape is None else Touch(shape, scene.geometry, name, T_sensor_object=T)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Float32
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Ints
 from tactile_loc.core.places.places import CAMERA, cut_patches
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.noise import TouchNoise
@@ -41,10 +41,10 @@ class TrainingBatch:
     """
 
     depth_m: Float32
-    seen: NDArray[np.bool_]
-    press_m: NDArray[np.float64]
-    labels: NDArray[np.int64]
-    counts: NDArray[np.bool_]
+    seen: Bools
+    press_m: Floats
+    labels: Ints
+    counts: Bools
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -83,7 +83,7 @@ class TrainingProblem(ABC):
 
     @property
     @abstractmethod
-    def key_presses_m(self) -> NDArray[np.float64]:
+    def key_presses_m(self) -> Floats:
         """The press depths (P,), metres, at which keys may be cut. A touch is compared with keys of one press depth."""
 
     @abstractmethod
@@ -102,7 +102,7 @@ class TrainingProblem(ABC):
         """Render `count` touches at random poses. The batches of these touches add `noise`."""
 
     @abstractmethod
-    def key_distances(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.float64]:
+    def key_distances(self, first: Ints, second: Ints) -> Floats:
         """Return the pose distances (K,), metres, between keys `first` (K,) and keys `second` (K,)."""
 
 
@@ -127,7 +127,7 @@ class Encoder(Component):
         """Return embeddings (N, D) of contact depths (N, H, W), metres, that are all cut at one press depth."""
 
     def encode_seen(
-        self, depth_m: Float32, seen: NDArray[np.bool_], press_depth_m: float, geometry: SensorGeometry
+        self, depth_m: Float32, seen: Bools, press_depth_m: float, geometry: SensorGeometry
     ) -> tuple[Float32, Float32]:
         """Return embeddings and weights, each (N, D) float32, of contact depths (N, H, W), metres, known in part.
 

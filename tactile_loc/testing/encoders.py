@@ -5,9 +5,8 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Float32, make_translation
+from tactile_loc.core.geometry.rigid import Bools, Float32, make_translation
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.places.places import CAMERA as PATCH_CAMERA
 from tactile_loc.core.places.places import PATCH_PX, cut_patches
@@ -260,7 +259,7 @@ def _render(poses: np.ndarray, camera: SensorGeometry = CAMERA, mesh: TriangleMe
     return compute_contact_depth(drawn, camera, camera.max_depth_m)
 
 
-def _mask_left(shapes: Float32, parts: int) -> NDArray[np.bool_]:
+def _mask_left(shapes: Float32, parts: int) -> Bools:
     """Return the seen pixels (N, H, W): all except the leftmost of `parts` equal parts."""
     seen = np.ones(shapes.shape, bool)
     seen[:, :, : shapes.shape[2] // parts] = False
@@ -281,7 +280,7 @@ def _require_seen_as_plain(encoder: Encoder, shapes: Float32, press_m: float, ca
 
 
 def _require_unseen_ignored(
-    encoder: Encoder, shapes: Float32, seen: NDArray[np.bool_], fill_m: float, press_m: float, camera: SensorGeometry
+    encoder: Encoder, shapes: Float32, seen: Bools, fill_m: float, press_m: float, camera: SensorGeometry
 ) -> tuple[Float32, Float32]:
     """Raise ContractError unless shapes (N, H, W), metres, have the same embeddings with `fill_m` at unseen pixels.
 

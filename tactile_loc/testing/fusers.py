@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Floats, Poses, invert, make_transform, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
 from tactile_loc.core.poses.priors import Prior
@@ -271,7 +271,7 @@ def _require_prior(plain: PosePosterior, fused: PosePosterior, prior: Prior, sen
     """Raise ContractError unless a prior's log-weights are added once to the plain posterior."""
     weights = prior(plain.grid.T_sensor_object)
 
-    def times(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    def times(log_weights: Floats) -> Floats:
         p = plain.probabilities * np.exp(log_weights - log_weights.max())
         return np.asarray(p / p.sum())
 

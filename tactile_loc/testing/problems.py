@@ -7,10 +7,10 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import (
     Float32,
+    Floats,
     Poses,
     make_transform,
     make_translation,
@@ -31,8 +31,6 @@ from tactile_loc.slots.encoder import TrainingProblem
 from tactile_loc.slots.registry import registry
 from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing.contract import share
-
-Array = NDArray[np.float64]
 
 _ROUNDING, _EDGE_ON = 1e-9, 1e-16  # of weights; least area of a triangle in the image
 
@@ -58,7 +56,7 @@ class ReferenceRenderer(Renderer):
         return depth
 
 
-def _draw(triangles_m: Array, geometry: SensorGeometry, picture: Float32) -> None:
+def _draw(triangles_m: Floats, geometry: SensorGeometry, picture: Float32) -> None:
     """Draw triangles (F, 3, 3) into a picture (H, W) of depths, where they are nearer."""
     x, y = geometry.pixel_slopes
     corners, z = triangles_m.swapaxes(1, 2).copy(), triangles_m[..., 2]
@@ -76,12 +74,12 @@ def _draw(triangles_m: Array, geometry: SensorGeometry, picture: Float32) -> Non
         np.minimum(part, hit, out=part, where=(weights >= -_ROUNDING).all(axis=0), casting="same_kind")
 
 
-def _find_between(slopes: Array, ends: Array) -> slice:
+def _find_between(slopes: Floats, ends: Floats) -> slice:
     """Return the ascending slopes that lie between the least and the greatest of the ends."""
     return slice(*np.searchsorted(slopes, [ends.min() - _ROUNDING, ends.max() + _ROUNDING]))
 
 
-def extrude(outline_m: Array, z_m: tuple[float, float]) -> TriangleMesh:
+def extrude(outline_m: Floats, z_m: tuple[float, float]) -> TriangleMesh:
     """Return a closed prism along z over a convex outline (K, 2), metres, whose corners are listed anticlockwise."""
     count = len(outline_m)
     i, j, fan = np.arange(count), np.roll(np.arange(count), -1), np.arange(1, count - 1)
@@ -103,7 +101,7 @@ def make_cylinder(radius_m: float, z_m: tuple[float, float], sides: int = 16) ->
     return extrude(radius_m * np.column_stack([np.cos(angle), np.sin(angle)]), z_m)
 
 
-def transform_mesh(mesh: TriangleMesh, T: NDArray[np.float64]) -> TriangleMesh:
+def transform_mesh(mesh: TriangleMesh, T: Floats) -> TriangleMesh:
     """Return the mesh transformed by T (4, 4), metres."""
     return TriangleMesh(transform_points(T, mesh.vertices_m), mesh.faces)
 
@@ -197,7 +195,7 @@ class PressedBlock:
 
     scene: Scene
     touch: Touch
-    truth: NDArray[np.float64]
+    truth: Floats
 
     def make_candidate(self, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Candidate:
         """Return the true pose moved by (x, y, yaw), metres and radians, and brought to contact, as a candidate."""
@@ -272,18 +270,18 @@ def press_prism(camera: str = "orthographic") -> PressedBlock:
     return _press(Scene(make_prism(), CAMERAS[camera], ReferenceRenderer()), make_planar_pose(*POSE), 1.0)
 
 
-def _press(scene: Scene, T_sensor_object: NDArray[np.float64], press: float) -> PressedBlock:
+def _press(scene: Scene, T_sensor_object: Floats, press: float) -> PressedBlock:
     scene = scene.press(press * scene.geometry.max_depth_m)
     truth = scene.bring_to_contact(T_sensor_object[None])[0][0]
     return PressedBlock(scene, make_touch(scene, truth, scene.geometry.indentation_m), truth)
 
 
-def make_planar_pose(x_m: float, y_m: float, yaw_rad: float) -> NDArray[np.float64]:
+def make_planar_pose(x_m: float, y_m: float, yaw_rad: float) -> Floats:
     """Return the pose (4, 4), metres, at x, y and yaw, with z = 0. The features of the block face the sensor."""
     return make_transform(rotation_about([0, 0, 1], yaw_rad), [x_m, y_m, 0.0])
 
 
-def make_touch(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> Touch:
+def make_touch(scene: Scene, T_sensor_object: Floats, press_depth_m: float) -> Touch:
     """Return the touch of the object at a pose (4, 4), pressed in by `press_depth_m` metres."""
     pressed = scene.press(press_depth_m)
     T = pressed.bring_to_contact(T_sensor_object[None])[0]
@@ -291,7 +289,7 @@ def make_touch(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m
     return Touch(shape, pressed.geometry, "pressed block", T_sensor_object=T[0])
 
 
-def replace_depth(touch: Touch, depth_m: NDArray[np.float32]) -> Touch:
+def replace_depth(touch: Touch, depth_m: Float32) -> Touch:
     """Return the touch with other depths (H, W), metres."""
     return dataclasses.replace(touch, contact_shape=ContactShape(depth_m, touch.press_depth_m))
 

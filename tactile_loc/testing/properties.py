@@ -10,9 +10,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Floats, make_transform, rotation_about
 from tactile_loc.testing.contract import ContractError
 
 EXAMPLES = 5  # number of cases for each property
@@ -30,7 +29,7 @@ class RigidMotion:
     shift_mm: tuple[int, int, int]
 
     @property
-    def T(self) -> NDArray[np.float64]:  # noqa: N802 - a transform's name
+    def T(self) -> Floats:  # noqa: N802 - a transform's name
         """The motion (4, 4), metres."""
         return make_transform(rotation_about(self.axis, np.radians(self.turn_deg)), 1e-3 * np.array(self.shift_mm))
 
@@ -50,7 +49,7 @@ class Place:
         return 1e-4 * self.x_tenths_mm, 1e-4 * self.y_tenths_mm, math.radians(self.yaw_deg)
 
     @property
-    def pose(self) -> NDArray[np.float64]:
+    def pose(self) -> Floats:
         """The pose (4, 4), metres: the yaw, then the tilt about a horizontal axis, at z = 0."""
         x, y, yaw = self.slide
         tilt = rotation_about([1.0, 0.5, 0.0], math.radians(self.tilt_deg))

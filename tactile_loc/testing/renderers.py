@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Float32, Poses, invert, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Float32, Floats, Poses, invert, make_transform, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -203,7 +203,7 @@ def _bring_block(camera: SensorGeometry) -> Poses:
     return bring_to_contact(make_stepped_block(), np.stack([*flat, tilted]), camera)[0]
 
 
-def _make_rays(camera: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _make_rays(camera: SensorGeometry) -> tuple[Floats, Floats]:
     """Return origins and directions (H, W, 3) of the rays through pixel centres. Each direction has z = 1."""
     x, y = np.meshgrid(*camera.pixel_slopes)
     zero, one = np.zeros_like(x), np.ones_like(x)
@@ -212,16 +212,14 @@ def _make_rays(camera: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.
     return np.stack([x, y, zero], -1), np.stack([zero, zero, one], -1)
 
 
-def _intersect_sphere(camera: SensorGeometry, centre_m: NDArray[np.float64], radius_m: float) -> NDArray[np.float64]:
+def _intersect_sphere(camera: SensorGeometry, centre_m: Floats, radius_m: float) -> Floats:
     origin, direction = _make_rays(camera)
     a, b = (direction**2).sum(-1), (direction * (centre_m - origin)).sum(-1)
     root = b**2 - a * (((centre_m - origin) ** 2).sum(-1) - radius_m**2)
     return np.where(root >= 0, (b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf)
 
 
-def _compare(
-    depth: Float32, truth: NDArray[np.float64], camera: SensorGeometry, sentence: str, cause: Callable[[], str]
-) -> None:
+def _compare(depth: Float32, truth: Floats, camera: SensorGeometry, sentence: str, cause: Callable[[], str]) -> None:
     """Compare a smooth surface's depths (H, W) with the true depths, inside and outside the contact band."""
     end = camera.standoff_m + camera.max_depth_m
     inside = (truth >= camera.standoff_m) & (truth < end - TOLERANCE_M)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.depth_maps import KINDS, METRES_PER_UNIT
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -142,14 +143,14 @@ def property_image_size(sensor: SensorModel) -> None:
     hold(claim, across=whole(2, 4), down=whole(2, 4))
 
 
-def make_dome(geometry: SensorGeometry) -> NDArray[np.float64]:
+def make_dome(geometry: SensorGeometry) -> Floats:
     """Return depths (H, W), metres, of a round imprint. The image's corners are NaN: no contact."""
     v, u = (np.linspace(-1.2, 1.2, n) for n in geometry.shape)
     depth = 0.8 * geometry.max_depth_m * (u[None, :] ** 2 + v[:, None] ** 2)
     return np.where(depth < 0.75 * geometry.max_depth_m, depth, np.nan)
 
 
-def make_stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> NDArray[np.float64]:
+def make_stamp(geometry: SensorGeometry, column: int, row: int, press: int) -> Floats:
     """Return depths (H, W), metres, of a wedge at `column` and `row`, in percent of width and height; NaN elsewhere.
 
     The wedge is asymmetric: it is deepest at its left, and wider than high. `press` is its depth, in percent of the
@@ -179,7 +180,7 @@ def _read(sensor: SensorModel, observation: NDArray[Any]) -> ContactShape:
     return shape
 
 
-def _require_kept(sensor: SensorModel, depth_m: NDArray[np.float64]) -> None:
+def _require_kept(sensor: SensorModel, depth_m: Floats) -> None:
     """Raise ContractError unless the sensor keeps depths (H, W), metres, or refuses depths."""
     try:
         shape = _read(sensor, depth_m)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.pose_words import format_pose_words
-from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
+from tactile_loc.core.geometry.rigid import Floats, Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.scene import Scene, relate_sensors
@@ -22,8 +22,6 @@ from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.result_arrays import find_most_probable
 from tactile_loc.view.palette import LIGHT, Palette
-
-Array = NDArray[np.float64]
 
 STEEL, GEL, HOUSING = map(Palette.rgb, (LIGHT.best, LIGHT.gel, LIGHT.housing))
 EDGE, TRUTH = LIGHT.ink, LIGHT.truth
@@ -39,12 +37,12 @@ class Ellipsoid:
     The directions are the columns of a rotation.
     """
 
-    centre_m: Array
-    half_axes_m: Array
-    axes: Array
+    centre_m: Floats
+    half_axes_m: Floats
+    axes: Floats
 
     @classmethod
-    def of(cls, centre_m: Array, covariance: Array) -> Ellipsoid:
+    def of(cls, centre_m: Floats, covariance: Floats) -> Ellipsoid:
         """Make the ellipsoid of a covariance (6, 6), as in RefinedPose; its half axes are DEVIATIONS deviations."""
         variances, axes = np.linalg.eigh(covariance[:3, :3])
         axes[:, 0] *= np.sign(np.linalg.det(axes))  # make the axes right-handed
@@ -56,23 +54,23 @@ class DrawnSensor:
     """A sensor at a pose T_scene_sensor (4, 4), metres, and what it shows: a touch, an image (H, W, 3), or nothing."""
 
     geometry: SensorGeometry
-    T_scene_sensor: Array = field(default_factory=lambda: np.eye(4))
+    T_scene_sensor: Floats = field(default_factory=lambda: np.eye(4))
     touch: Touch | None = None
     image: NDArray[np.uint8] | None = None
 
     @classmethod
-    def of(cls, touch: Touch, T_scene_sensor: Array = np.eye(4)) -> DrawnSensor:  # noqa: B008 - it is not changed
+    def of(cls, touch: Touch, T_scene_sensor: Floats = np.eye(4)) -> DrawnSensor:  # noqa: B008 - it is not changed
         """Make the sensor of a touch."""
         return cls(touch.geometry, T_scene_sensor, touch, touch.image)
 
     @property
-    def gel_m(self) -> Array:
+    def gel_m(self) -> Floats:
         """The triangles (12, 3, 3) of the gel, metres, in the scene's frame."""
         (x0, x1, y0, y1), top = self.geometry.rectangle, self.geometry.surface_m
         return self._place(make_box((x0, x1), (y0, y1), (top - GEL_M, top)))
 
     @property
-    def housing_m(self) -> Array:
+    def housing_m(self) -> Floats:
         """The triangles (12, 3, 3) of the housing around the gel, metres, in the scene's frame."""
         x0, x1, y0, y1 = self.geometry.rectangle
         sides = (x0 - RIM_M, x1 + RIM_M), (y0 - RIM_M, y1 + RIM_M)
@@ -81,7 +79,7 @@ class DrawnSensor:
         )
 
     @property
-    def body_m(self) -> Array:
+    def body_m(self) -> Floats:
         """The triangles (12, 3, 3) of the body that holds the housing, metres, in the scene's frame.
 
         Its shape is only drawn, and says nothing about the real sensor.
@@ -95,14 +93,14 @@ class DrawnSensor:
         return self._place(body)
 
     @property
-    def outlines_m(self) -> list[Array]:
+    def outlines_m(self) -> list[Floats]:
         """The closed outlines (P, 3) of the contact, metres, in the scene's frame; see `trace_outlines_m`."""
         if self.touch is None:
             return []
         lines = trace_outlines_m(self.touch.contact_shape, self.geometry)
         return [transform_points(self.T_scene_sensor, line) for line in lines]
 
-    def _place(self, triangles_m: Array) -> Array:
+    def _place(self, triangles_m: Floats) -> Floats:
         return move_triangles(triangles_m, self.T_scene_sensor)
 
 
@@ -120,11 +118,11 @@ class DrawnScene:
     mesh: TriangleMesh
     sensors: tuple[DrawnSensor, ...]
     poses: Poses = field(default_factory=lambda: np.empty((0, 4, 4)))
-    probabilities: Array = field(default_factory=lambda: np.empty(0))
-    covariances: Sequence[Array | None] = ()
-    T_true: Array | None = None
+    probabilities: Floats = field(default_factory=lambda: np.empty(0))
+    covariances: Sequence[Floats | None] = ()
+    T_true: Floats | None = None
     likely_poses: Poses = field(default_factory=lambda: np.empty((0, 4, 4)))
-    likely: Array = field(default_factory=lambda: np.empty(0))
+    likely: Floats = field(default_factory=lambda: np.empty(0))
     imprint_iou: float = math.nan
     text: str = ""
 
@@ -164,12 +162,12 @@ class DrawnScene:
         return cls(mesh, sensors, poses, shares, covariances, imprint_iou=located.imprint_iou, text=said)
 
     @cached_property
-    def object_m(self) -> Array:
+    def object_m(self) -> Floats:
         """The triangles (F, 3, 3) of the object at its first pose, metres."""
         return move_triangles(self.mesh.triangles_m, self.poses[0])
 
     @cached_property
-    def truth_m(self) -> Array | None:
+    def truth_m(self) -> Floats | None:
         """The triangles (F, 3, 3) of the object at its true pose, metres, if it is known."""
         return None if self.T_true is None else move_triangles(self.mesh.triangles_m, self.T_true)
 
@@ -196,7 +194,7 @@ def describe_located(found: LocatedFrame | None, text: str = "") -> str:
     return "\n".join(line for line in lines if line)
 
 
-def trace_outlines_m(shape: ContactShape, geometry: SensorGeometry) -> list[Array]:
+def trace_outlines_m(shape: ContactShape, geometry: SensorGeometry) -> list[Floats]:
     """Return the closed outlines (P, 3) of a contact shape (H, W), metres, in the sensor frame, on the undeformed gel.
 
     They surround the part at which the gel touches the object.
@@ -224,12 +222,12 @@ def find_extent_m(geometry: SensorGeometry) -> tuple[float, float, float, float]
     return x0, x1, y1, y0
 
 
-def move_triangles(triangles_m: Array, T: Array) -> Array:
+def move_triangles(triangles_m: Floats, T: Floats) -> Floats:
     """Return triangles (F, 3, 3), metres, moved by a transform (4, 4), metres."""
     return transform_points(T, triangles_m.reshape(-1, 3)).reshape(-1, 3, 3)
 
 
-def make_box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Array:
+def make_box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Floats:
     """Return the triangles (12, 3, 3) of an axis-aligned box."""
     corners = np.array([(a, b, c) for c in z for b in y for a in x])
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]

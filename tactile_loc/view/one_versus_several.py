@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Float32, Floats
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.formatting import format_millimetres
 from tactile_loc.locate.result.localization import Localization
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-Array = NDArray[np.float64]
-Image = NDArray[np.float32]  # (H, W, 4): colours, 0 to 1, multiplied by opacity, and opacity
+Image = Float32  # (H, W, 4): colours, 0 to 1, multiplied by opacity, and opacity
 
 SHAPE = 0.21  # width of a drawn contact shape, in widths of its side of the figure
 MOST_GHOSTS, MOST_SHAPES = 6, 4  # largest numbers of drawn poses of the first touch, and of drawn contact shapes
@@ -106,7 +105,7 @@ class _SharedView:
     canvas: Canvas
 
     @classmethod
-    def of(cls, scene: DrawnScene, ghosts: Sequence[Array]) -> _SharedView:
+    def of(cls, scene: DrawnScene, ghosts: Sequence[Floats]) -> _SharedView:
         """Choose a viewpoint that shows the object, also at the poses `ghosts` (4, 4), metres, and all sensors."""
         view = choose_view(scene.mesh, scene.poses[0])
         posed = [move_triangles(scene.mesh.triangles_m, T) for T in ghosts]
@@ -115,7 +114,7 @@ class _SharedView:
         size_mm = 1e3 * float(np.ptp(scene.mesh.triangles_m.reshape(-1, 3), axis=0).max())
         return cls(scene, Canvas(view, bounds, PIXELS, EDGE_STEP * size_mm))
 
-    def draw_ghosts(self, T_sensor_object: Sequence[Array]) -> Image:
+    def draw_ghosts(self, T_sensor_object: Sequence[Floats]) -> Image:
         """Return a picture of the first sensor and the object at each pose, seen through."""
         first = self.scene.sensors[:1]
         image = self._draw([], first)
@@ -142,7 +141,7 @@ class _SharedView:
             at = LABEL * corners[free_mm.argmax()] + (1 - LABEL) * middles[number + 1]
             axes.text(at[0], at[1], name_touch(number), size=11.5, ha="center", va="center", path_effects=halo)
 
-    def _draw(self, T_sensor_object: Sequence[Array], sensors: Sequence[DrawnSensor]) -> Image:
+    def _draw(self, T_sensor_object: Sequence[Floats], sensors: Sequence[DrawnSensor]) -> Image:
         surfaces = [move_triangles(self.scene.mesh.triangles_m, T) for T in T_sensor_object]
         colours = [STEEL] * len(surfaces) + [GEL, HOUSING] * len(sensors)
         surfaces += [part for sensor in sensors for part in (sensor.gel_m, sensor.housing_m)]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.io.shape_pictures import OUTLINE, read_colour
 from tactile_loc.locate.result.result_html import VERDICT_COLOURS
 from tactile_loc.locate.result.verdict import Verdict
@@ -43,7 +43,7 @@ class Palette:
         return VERDICT_COLOURS[Verdict(verdict)]
 
     @staticmethod
-    def rgb(colour: str) -> NDArray[np.float64]:
+    def rgb(colour: str) -> Floats:
         """Return red, green and blue (3,), 0 to 1, of a colour such as "#ffffff"."""
         return np.array(read_colour(colour), float) / 255
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.formatting import format_millimetres, format_percent
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -39,7 +40,7 @@ DPI = 130
 LAYOUT: LayoutEngine | Literal["constrained"] = "constrained"  # keeps the labels of panels apart
 
 
-Errors = Sequence[float] | NDArray[np.float64] | None
+Errors = Sequence[float] | Floats | None
 """The errors (K,) of hypotheses, metres, if they are known."""
 
 
@@ -250,7 +251,7 @@ def _draw_scene(panel: SubFigure, localization: Localization) -> None:
     )
 
 
-def group_nearby(places: NDArray[np.float64], apart: float, order: float = 2) -> list[list[int]]:
+def group_nearby(places: Floats, apart: float, order: float = 2) -> list[list[int]]:
     """Group places (N, D), and return the indices of the places in each group.
 
     Each place is nearer than `apart` to the first place of its group. `order` is the order of the norm that measures

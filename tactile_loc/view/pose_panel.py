@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import transform_points
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.view.drawn_scene import EDGE, GEL, GEL_M, HOUSING, RIM_M, STEEL, TRUTH, DrawnScene
@@ -19,7 +18,6 @@ from tactile_loc.view.raytracing import Bounds, Buffers, Tracer, Viewpoint, shad
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 PIXELS, SUPERSAMPLE = 620, 2
 AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
@@ -47,7 +45,7 @@ def draw_pose(axes: Axes, scene: DrawnScene) -> None:
     axes.set_axis_off()
 
 
-def choose_view(mesh: TriangleMesh, T: Array, elevation_deg: float = Viewpoint.elevation_deg) -> Viewpoint:
+def choose_view(mesh: TriangleMesh, T: Floats, elevation_deg: float = Viewpoint.elevation_deg) -> Viewpoint:
     """Return the view that best shows both the object at T (4, 4), metres, and the sensor."""
     points = 1e3 * transform_points(T, mesh.vertices_m)
 
@@ -59,7 +57,7 @@ def choose_view(mesh: TriangleMesh, T: Array, elevation_deg: float = Viewpoint.e
     return max((Viewpoint(azimuth_deg, elevation_deg) for azimuth_deg in AZIMUTHS_DEG), key=rate)
 
 
-def fit_bounds(view: Viewpoint, surfaces: Sequence[Array], margin: float, top_margin: float) -> Bounds:
+def fit_bounds(view: Viewpoint, surfaces: Sequence[Floats], margin: float, top_margin: float) -> Bounds:
     """Return the borders of a picture that shows all surfaces, mm. Margins are shares of the longer side."""
     flat = np.concatenate([view.project(triangles).reshape(-1, 2) for triangles in surfaces])
     (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
@@ -86,9 +84,7 @@ class Canvas:
         scale = self.pixels / max(width, height)
         return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
 
-    def draw_solids(
-        self, surfaces_mm: Sequence[Array], colours: Sequence[Array]
-    ) -> tuple[Buffers, NDArray[np.float32]]:
+    def draw_solids(self, surfaces_mm: Sequence[Floats], colours: Sequence[Floats]) -> tuple[Buffers, Float32]:
         """Return the hits and an RGBA image (H, W, 4) of shaded surfaces (F, 3, 3), mm, with dark edges."""
         tracer = Tracer(list(surfaces_mm), self.view)
         seen = tracer.look(self.bounds, self.shape)
@@ -96,7 +92,7 @@ class Canvas:
         paint(image, seen.find_edges(self.step_mm) & seen.hit, EDGE, 0.75)
         return seen, image
 
-    def draw_edges(self, image: NDArray[np.float32], surface_mm: Array, colour: str, opacity: float) -> None:
+    def draw_edges(self, image: Float32, surface_mm: Floats, colour: str, opacity: float) -> None:
         """Draw the edges of a surface (F, 3, 3), mm, into an RGBA image (H, W, 4), in place."""
         seen = Tracer([surface_mm], self.view).look(self.bounds, self.shape)
         marked = seen.find_edges(self.step_mm)
@@ -106,7 +102,7 @@ class Canvas:
         paint(image, thick, colour, opacity)
 
 
-def paint(image: NDArray[np.float32], where: NDArray[np.bool_], colour: str, opacity: float) -> None:
+def paint(image: Float32, where: Bools, colour: str, opacity: float) -> None:
     """Blend a colour into the marked pixels (H, W) of an RGBA image, in place."""
     from matplotlib.colors import to_rgb
 
@@ -178,7 +174,7 @@ def _measure_point_mm(axes: Axes) -> float:
     return float(dots_mm * axes.figure.dpi / 72)
 
 
-def _write_text(axes: Axes, at: Array, text: str, size: float) -> None:
+def _write_text(axes: Axes, at: Floats, text: str, size: float) -> None:
     from matplotlib.patheffects import withStroke
 
     look: dict[str, Any] = {"ha": "center", "va": "center", "color": "#333333", "zorder": 3, "clip_on": False}

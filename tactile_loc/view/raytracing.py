@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import make_transform
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, make_transform
 from tactile_loc.core.sensing.zbuffer import draw_nearest_faces
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 Bounds = tuple[float, float, float, float]
 
 LIGHT = np.array([0.35, -0.45, 0.82])  # direction towards the light in the sensor frame: up, right and in front
@@ -32,14 +30,14 @@ class Viewpoint:
     elevation_deg: float = 34.0
 
     @property
-    def axes(self) -> Array:
+    def axes(self) -> Floats:
         """Unit vectors in the sensor frame, as rows (3, 3): right, up, and towards the viewer."""
         a, e = np.radians([self.azimuth_deg, self.elevation_deg])
         towards = np.array([np.sin(a) * np.cos(e), -np.cos(a) * np.cos(e), np.sin(e)])
         right = np.array([np.cos(a), np.sin(a), 0.0])
         return np.stack([right, np.cross(towards, right), towards])
 
-    def project(self, points: Array) -> Array:
+    def project(self, points: Floats) -> Floats:
         """Return the picture coordinates (..., 2), right and up, of points (..., 3), in the points' unit."""
         return np.asarray(points, float) @ self.axes[:2].T
 
@@ -55,11 +53,11 @@ class Buffers:
     surface: NDArray[np.int32]
     face: NDArray[np.int32]
     depth: Float32
-    face_normals: Array
+    face_normals: Floats
     """Unit normals (F, 3) of all faces, towards the viewer."""
     surface_of_face: NDArray[np.int32]
     """The index (F,) of each face's surface."""
-    origins: tuple[Array, Array, Array]
+    origins: tuple[Floats, Floats, Floats]
     """The rays' starts and direction: right (W, 3), up (H, 3) and towards (3,).
 
     A ray starts at the sum of its column's `right` and its row's `up`. Its direction is minus `towards`.
@@ -67,11 +65,11 @@ class Buffers:
     bounds: Bounds
 
     @cached_property
-    def hit(self) -> NDArray[np.bool_]:
+    def hit(self) -> Bools:
         """Mask (H, W) of the pixels whose ray hits a surface."""
         return self.surface >= 0
 
-    def find_surfaces(self, places: Array) -> NDArray[np.int32]:
+    def find_surfaces(self, places: Floats) -> NDArray[np.int32]:
         """Return the surfaces (N,), or -1, that the picture shows at places (N, 2), right and up."""
         left, right, bottom, top = self.bounds
         height, width = self.surface.shape
@@ -79,7 +77,7 @@ class Buffers:
         rows = ((top - places[:, 1]) / (top - bottom) * height).astype(int).clip(0, height - 1)
         return self.surface[rows, columns]
 
-    def locate(self, axes: Array, lift: float) -> tuple[Float32, Float32, Float32]:
+    def locate(self, axes: Floats, lift: float) -> tuple[Float32, Float32, Float32]:
         """Return coordinates x, y and z (K,) of the hits along axes (3, 3), rows, moved by `lift` along the normals."""
         rows, columns = np.nonzero(self.hit)
         depth, face = self.depth[self.hit], self.face[self.hit]
@@ -90,7 +88,7 @@ class Buffers:
         )
         return x, y, z
 
-    def find_edges(self, jump: float) -> NDArray[np.bool_]:
+    def find_edges(self, jump: float) -> Bools:
         """Return a mask (H, W) of outlines, creases, and depth steps larger than `jump` (in the points' unit)."""
         marked = np.zeros(self.surface.shape, bool)
         depth = np.where(self.hit, self.depth, np.float32(0))
@@ -109,7 +107,7 @@ class Buffers:
 class Tracer:
     """Renders surfaces from a view. Each surface is an array of triangles (F, 3, 3), all in the same unit."""
 
-    def __init__(self, surfaces: list[Array], view: Viewpoint) -> None:
+    def __init__(self, surfaces: list[Floats], view: Viewpoint) -> None:
         self.view = view
         self._triangles = np.concatenate(surfaces)
         numbers = np.arange(len(surfaces), dtype=np.int32)
@@ -130,7 +128,7 @@ class Tracer:
         surface = np.append(self._of_face, np.int32(-1))[face]
         return Buffers(surface, face, depth, towards, self._of_face, origins, bounds)
 
-    def cast_shadow(self, buffers: Buffers, lift: float) -> NDArray[np.bool_]:
+    def cast_shadow(self, buffers: Buffers, lift: float) -> Bools:
         """Return a mask (H, W) of the pixels in shadow, found with a second picture that is seen from the light.
 
         Points are moved along their normals by `lift` plus 1.5 pixels of the picture seen from the light, so that they
@@ -154,8 +152,8 @@ class Tracer:
         return hidden
 
     def _render_along(
-        self, axes: Array, bounds: Bounds, shape: tuple[int, int]
-    ) -> tuple[Float32, NDArray[np.int32], Array, Array]:
+        self, axes: Floats, bounds: Bounds, shape: tuple[int, int]
+    ) -> tuple[Float32, NDArray[np.int32], Floats, Floats]:
         """Return the depths and faces (H, W) that rays along -axes[2] hit, and the pixels' positions.
 
         The positions are u (W,) along axes[0] and v (H,) along axes[1].
@@ -169,7 +167,7 @@ class Tracer:
         return depth, face, u, v
 
 
-def shade(buffers: Buffers, colours: Array, shadow: NDArray[np.bool_]) -> Float32:
+def shade(buffers: Buffers, colours: Floats, shadow: Bools) -> Float32:
     """Return a picture as RGBA (H, W, 4), 0 to 1; pixels without a hit are transparent.
 
     `colours` (S, 3) has a colour for each surface. `shadow` (H, W) marks the pixels in shadow.
@@ -204,7 +202,7 @@ def unmultiply(image: Float32) -> Float32:
     return image.clip(0.0, 1.0, out=image)
 
 
-def compute_normals(triangles: Array) -> Array:
+def compute_normals(triangles: Floats) -> Floats:
     """Return the unit normals (F, 3) of triangles (F, 3, 3); zero for degenerate triangles."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     normals = np.cross(b - a, c - a)

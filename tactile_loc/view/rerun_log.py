@@ -9,9 +9,8 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import invert, rotation_to_quaternion_xyzw
+from tactile_loc.core.geometry.rigid import Floats, invert, rotation_to_quaternion_xyzw
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
 from tactile_loc.core.runtime.formatting import is_unicode
@@ -137,7 +136,7 @@ class RerunLog:
         if touch is not None and touch.T_base_sensor is not None:
             self._log(SENSOR, self._make_transform(touch.T_base_sensor))
 
-    def _make_transform(self, T: NDArray[np.float64]) -> Any:
+    def _make_transform(self, T: Floats) -> Any:
         return self._rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
 
     def _add_poses(self, frame: DrawnScene) -> None:

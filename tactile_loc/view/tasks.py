@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.planning.hand_eye_calibration import HandEyeCalibration
@@ -38,7 +38,7 @@ def draw_next_touch(found: NextTouch, title: str) -> Figure:
     return figure
 
 
-def _draw_mode(axes: Any, found: NextTouch, depth_m: NDArray[np.float32], number: int) -> None:
+def _draw_mode(axes: Any, found: NextTouch, depth_m: Float32, number: int) -> None:
     rated, modes = found.best, found.modes
     press_m = modes.press_m if rated.approach.press_m is None else rated.approach.press_m
     geometry = modes.geometry.press(press_m)
@@ -76,7 +76,7 @@ def draw_hand_eye(found: HandEyeCalibration, title: str) -> Figure:
     return figure
 
 
-def _draw_residuals(axes: Any, first: NDArray[np.float64], last: NDArray[np.float64], kept: NDArray[np.bool_]) -> None:
+def _draw_residuals(axes: Any, first: Floats, last: Floats, kept: Bools) -> None:
     """Draw the first and last residuals (N,) of touches on a logarithmic axis; `kept` (N,) marks the used touches."""
     numbers = np.arange(len(kept))
     axes.vlines(numbers, np.minimum(first, last), np.maximum(first, last), color=FIRST, lw=0.8, zorder=1)

@@ -4,13 +4,12 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import compute_pose_errors, move
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Floats, invert
 from tactile_loc.core.runtime.errors import FrameError, advise_choice
 
-Transform = NDArray[np.float64]
+Transform = Floats
 
 JUMP_NS = 1_000_000_000  # a clock that goes back farther was reset; smaller steps back are messages out of order
 

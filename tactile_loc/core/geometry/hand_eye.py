@@ -9,10 +9,11 @@ z (m), then a rotation vector (rad).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import compute_pose_errors, move, rotate_covariance
 from tactile_loc.core.geometry.rigid import (
+    Bools,
+    Floats,
     Poses,
     axis_times_sine,
     cross_matrix,
@@ -21,8 +22,6 @@ from tactile_loc.core.geometry.rigid import (
     rotation_angle,
     rotation_to_vector,
 )
-
-Floats = NDArray[np.float64]
 
 MEDIAN_6 = 5.348  # median of a chi-squared variable with six degrees of freedom
 TRUSTED = 22.5  # 99.9 % quantile of the same variable; a touch with a larger value contradicts the others
@@ -171,7 +170,7 @@ def measure_turns(T_base_flange: Poses) -> tuple[Floats, Floats]:
 
 def screws_agree(
     T_first: Poses, T_second: Poses, T_first_other: Poses, T_second_other: Poses, angle_rad: float, slide_m: float
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Return whether (...) two motions have the same angle and slide along their axes, as A and B of A X = X B do.
 
     A = inv(T_second) @ T_first (..., 4, 4) are motions of flanges. B = T_second_other @ inv(T_first_other) (..., 4, 4)

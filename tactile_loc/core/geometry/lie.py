@@ -10,9 +10,9 @@ write to given arrays, because allocation takes longer than the arithmetic.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import (
+    Floats,
     Poses,
     axis_times_sine,
     cross_matrix,
@@ -25,7 +25,6 @@ from tactile_loc.core.runtime.compiled import njit
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 TINY = 1e-30  # added to a squared angle, so that a division by the angle is possible without rotation
-Floats = NDArray[np.float64]
 
 
 def exponential(x: Floats, centre: Floats) -> Floats:

@@ -4,9 +4,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import axis_angle, format_pose
+from tactile_loc.core.geometry.rigid import Floats, axis_angle, format_pose
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,7 @@ class PoseWords:
     turn_std: str = ""
 
 
-def format_pose_words(T: NDArray[np.float64], std: NDArray[np.float64] | None = None) -> PoseWords:
+def format_pose_words(T: Floats, std: Floats | None = None) -> PoseWords:
     """Return texts for a pose (4, 4), metres, and its standard deviations (6,), metres, then radians, if known."""
     angle_deg, axis = axis_angle(T[:3, :3])
     known = join_numbers(1e3 * T[:3, 3], 1), f"{angle_deg:.1f}°", f"({join_numbers(axis, 2)})"
@@ -37,7 +36,7 @@ def join_numbers(values: Iterable[float], digits: int) -> str:
     return ", ".join(f"{value:z.{digits}f}" for value in values)
 
 
-def describe_first(T: NDArray[np.float64], poses: int, frame: str) -> str:
+def describe_first(T: Floats, poses: int, frame: str) -> str:
     """Return in words the first pose (4, 4), metres, of a number of `poses`, in the frame of this name."""
     x, y, z, angle_deg, axis = format_pose(T)
     count = f"{poses} {'pose' if poses == 1 else 'poses'}"

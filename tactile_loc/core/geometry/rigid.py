@@ -10,15 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.runtime.errors import ConfigError, TactileLocError
 
-Array = NDArray[np.float64]
+# the types of arrays have one name in the whole project
+Floats = NDArray[np.float64]
 Poses = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 ROUNDED = 1e-3  # largest difference from a rotation that rounding to three decimals explains
 UNIT_TOLERANCE = 0.005  # largest difference of a unit vector's length from 1, as in tf2
 
 
-def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
+def make_transform(R: ArrayLike, t_m: ArrayLike) -> Floats:
     """Stack rotations (..., 3, 3) and translations (..., 3) in metres to transforms (..., 4, 4)."""
     R, t = np.asarray(R, float), np.asarray(t_m, float)
     batch = np.broadcast_shapes(R.shape[:-2], t.shape[:-1])
@@ -29,23 +32,23 @@ def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
     return T
 
 
-def make_translation(t_m: ArrayLike) -> Array:
+def make_translation(t_m: ArrayLike) -> Floats:
     """Return pure translations (..., 4, 4) by `t_m` (..., 3) in metres."""
     return make_transform(np.eye(3), t_m)
 
 
-def invert(T: Array) -> Array:
+def invert(T: Floats) -> Floats:
     """Invert rigid transforms (..., 4, 4): the result maps the target frame back to the source (metres)."""
     R_inverse = np.swapaxes(T[..., :3, :3], -1, -2)
     return make_transform(R_inverse, -(R_inverse @ T[..., :3, 3:])[..., 0])
 
 
-def transform_points(T: Array, points_m: ArrayLike) -> Array:
+def transform_points(T: Floats, points_m: ArrayLike) -> Floats:
     """Map points (P, 3), metres, from source to target frames by transforms (..., 4, 4): (..., P, 3)."""
     return np.asarray(points_m, float) @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 
-def rotation_about(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
+def rotation_about(axis: ArrayLike, angle_rad: ArrayLike) -> Floats:
     """Return rotations (..., 3, 3) by `angle_rad` (...) radians about one unitless axis (3,) (Rodrigues' formula)."""
     x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -53,19 +56,19 @@ def rotation_about(axis: ArrayLike, angle_rad: ArrayLike) -> Array:
     return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
 
 
-def axis_times_sine(R: Array) -> Array:
+def axis_times_sine(R: Floats) -> Floats:
     """Return the unit axes (..., 3) of rotations (..., 3, 3) times the sines of their angles, unitless."""
     skew = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
     return np.asarray(0.5 * skew)
 
 
-def rotation_angle(R: Array) -> Array:
+def rotation_angle(R: Floats) -> Floats:
     """Return the angles of rotations (..., 3, 3) in radians, 0 to pi, accurate at both ends."""
     sine = np.linalg.norm(axis_times_sine(R), axis=-1)
     return np.arctan2(2.0 * sine, np.trace(R, axis1=-2, axis2=-1) - 1.0)
 
 
-def cross_matrix(v: Array) -> Array:
+def cross_matrix(v: Floats) -> Floats:
     """Return the matrices (..., 3, 3) that map w to v x w, for vectors v (..., 3) in any unit."""
     K = np.zeros((*v.shape, 3))
     K[..., 2, 1] = v[..., 0]
@@ -74,7 +77,7 @@ def cross_matrix(v: Array) -> Array:
     return np.asarray(K - K.swapaxes(-1, -2))
 
 
-def align_to_z(directions: ArrayLike) -> Array:
+def align_to_z(directions: ArrayLike) -> Floats:
     """Return the smallest rotations (..., 3, 3) that map unitless directions (..., 3) to +z.
 
     R = I + [v]x + [v]x^2 / (1 + z) for v = d x z, with the unit direction d and its last component z.
@@ -91,7 +94,7 @@ def align_to_z(directions: ArrayLike) -> Array:
     return R
 
 
-def quaternion_to_rotation(q: ArrayLike) -> Array:
+def quaternion_to_rotation(q: ArrayLike) -> Floats:
     """Convert unit quaternions (..., 4), scalar first, unitless, to rotations (..., 3, 3)."""
     w, x, y, z = np.moveaxis(np.asarray(q, float), -1, 0)
     rows = [
@@ -102,7 +105,7 @@ def quaternion_to_rotation(q: ArrayLike) -> Array:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def vector_to_rotation(vectors: ArrayLike) -> Array:
+def vector_to_rotation(vectors: ArrayLike) -> Floats:
     """Convert rotation vectors (..., 3), rad, to rotations (..., 3, 3)."""
     from scipy.spatial.transform import Rotation
 
@@ -111,7 +114,7 @@ def vector_to_rotation(vectors: ArrayLike) -> Array:
     return np.asarray(R, float).reshape(*found.shape, 3)
 
 
-def rotation_to_vector(R: Array) -> Array:
+def rotation_to_vector(R: Floats) -> Floats:
     """Convert rotations (..., 3, 3) to rotation vectors (..., 3), rad."""
     from scipy.spatial.transform import Rotation
 
@@ -119,20 +122,20 @@ def rotation_to_vector(R: Array) -> Array:
     return np.asarray(vectors, float).reshape(*R.shape[:-2], 3)
 
 
-def axis_angle(R: Array) -> tuple[float, Array]:
+def axis_angle(R: Floats) -> tuple[float, Floats]:
     """Return the angle, degrees, 0 to 180, and the unit axis (3,) of a rotation (3, 3). No rotation has the axis z."""
     vector = rotation_to_vector(R)
     angle = float(np.linalg.norm(vector))
     return float(np.degrees(angle)), vector / angle + 0.0 if angle > 1e-9 else np.array([0.0, 0.0, 1.0])
 
 
-def format_pose(T: NDArray[np.float64]) -> list[str]:
+def format_pose(T: Floats) -> list[str]:
     """Return texts for a pose (4, 4), metres: x, y, z in mm, the rotation angle in degrees, and its axis."""
     angle_deg, axis = axis_angle(T[:3, :3])
     return [*(f"{1e3 * v:z.2f}" for v in T[:3, 3]), f"{angle_deg:z.1f}", "({:z.3f}, {:z.3f}, {:z.3f})".format(*axis)]
 
 
-def rotation_to_quaternion(R: Array) -> Array:
+def rotation_to_quaternion(R: Floats) -> Floats:
     """Convert rotations (..., 3, 3) to unit quaternions (..., 4), scalar first and non-negative, unitless."""
     from scipy.spatial.transform import Rotation
 
@@ -140,18 +143,18 @@ def rotation_to_quaternion(R: Array) -> Array:
     return np.asarray(flat, float).reshape(*R.shape[:-2], 4)
 
 
-def rotation_to_quaternion_xyzw(R: Array) -> Array:
+def rotation_to_quaternion_xyzw(R: Floats) -> Floats:
     """Convert rotations (..., 3, 3) to unit quaternions (..., 4), scalar last as in ROS and non-negative, unitless."""
     return np.roll(rotation_to_quaternion(R), -1, axis=-1)
 
 
-def draw_rotations(count: int, rng: np.random.Generator) -> Array:
+def draw_rotations(count: int, rng: np.random.Generator) -> Floats:
     """Draw rotations (count, 3, 3) uniformly over SO(3): normalised Gaussian quaternions."""
     q = rng.normal(size=(count, 4))
     return quaternion_to_rotation(q / np.linalg.norm(q, axis=1, keepdims=True))
 
 
-def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
+def is_rigid(T: Floats, tolerance: float = 1e-6) -> bool:
     """Return whether all T (..., 4, 4) have a proper rotation, a finite translation and the last row 0 0 0 1."""
     R = T[..., :3, :3]
     if not np.isfinite(T).all():
@@ -160,12 +163,12 @@ def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
     return orthogonal and _are_near(T[..., 3, :], LAST_ROW, tolerance) and bool((np.linalg.det(R) > 0).all())
 
 
-def _are_near(values: Array, wanted: Array, tolerance: float) -> bool:
+def _are_near(values: Floats, wanted: Floats, tolerance: float) -> bool:
     """Return what `np.allclose` returns for finite values, several times as fast."""
     return bool((np.abs(values - wanted) <= tolerance + 1e-5 * np.abs(wanted)).all())
 
 
-def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
+def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Floats:
     """Return a rigid transform (4, 4), metres, as float64. A rotation that was rounded becomes orthogonal.
 
     Raises `error`, with `what` as its name, if the transform is not rigid.
@@ -186,7 +189,7 @@ def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = Config
     return make_transform(nearest, found[:3, 3])
 
 
-def _find_fault(T: Array, nearest: Array, stretches: Array) -> str:
+def _find_fault(T: Floats, nearest: Floats, stretches: Floats) -> str:
     """Return in words why a transform (4, 4) is not rigid, or an empty text if its rotation was only rounded.
 
     `nearest` (3, 3) is the nearest orthogonal matrix, and `stretches` (3,) are the singular values of its rotation.
@@ -210,7 +213,7 @@ def _find_fault(T: Array, nearest: Array, stretches: Array) -> str:
     return ""
 
 
-def require_unit(v: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
+def require_unit(v: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Floats:
     """Return a vector or a quaternion (N,) with the length 1 exactly.
 
     Raises `error`, with `what` as its name, if its length differs from 1 by more than rounded numbers explain.
@@ -225,7 +228,7 @@ def require_unit(v: ArrayLike, what: str, error: type[TactileLocError] = ConfigE
     return found / length
 
 
-def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Array:
+def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError] = ConfigError) -> Floats:
     """Return the covariance (6, 6) of a pose's error as float64.
 
     Raises `error`, with `what` as its name, if the values are not a covariance.
@@ -239,14 +242,14 @@ def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError
     return found
 
 
-def _is_covariance(values: Array, tolerance: float = 1e-6) -> bool:
+def _is_covariance(values: Floats, tolerance: float = 1e-6) -> bool:
     if not np.isfinite(values).all():
         return False
     allowed = tolerance * max(1e-12, float(np.abs(values).max()))
     return bool(np.abs(values - values.T).max() <= allowed and np.linalg.eigvalsh(values).min() >= -allowed)
 
 
-def _convert_numbers(values: ArrayLike) -> Array | None:
+def _convert_numbers(values: ArrayLike) -> Floats | None:
     """Convert values to float64; return None if they are not numbers."""
     try:
         found = np.asarray(values)

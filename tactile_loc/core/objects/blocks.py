@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats, Ints
 from tactile_loc.core.objects.mesh import TriangleMesh
 
 TRIANGLES = 24  # largest number of triangles per block
@@ -18,13 +19,13 @@ class Blocks(NamedTuple):
     sphere with centre centres[b] (3,) and radius radii[b].
     """
 
-    corners: NDArray[np.float64]
-    starts: NDArray[np.int64]
-    centres: NDArray[np.float64]
-    radii: NDArray[np.float64]
+    corners: Floats
+    starts: Ints
+    centres: Floats
+    radii: Floats
 
 
-def make_blocks(corners: NDArray[np.float64], most: int) -> Blocks:
+def make_blocks(corners: Floats, most: int) -> Blocks:
     """Split items with corners (N, C, 3) into blocks of at most `most` items.
 
     A larger block is split in two halves along its longest side.
@@ -62,14 +63,14 @@ class NearestTriangles(NamedTuple):
     beyond reach. The triangles that share an edge with triangle f are those in `beside` (R,) from ends[f] to ends[f+1].
     """
 
-    faces: NDArray[np.float64]
-    low: NDArray[np.float64]
+    faces: Floats
+    low: Floats
     cell: float
     nearest: NDArray[np.int32]
     beside: NDArray[np.int32]
-    ends: NDArray[np.int64]
+    ends: Ints
 
     @property
-    def normals(self) -> NDArray[np.float64]:
+    def normals(self) -> Floats:
         """The triangles' unit normals (F, 3)."""
         return self.faces[:, 9:12]

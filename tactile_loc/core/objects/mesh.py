@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats, Ints
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.runtime.errors import ObjectError
 from tactile_loc.core.runtime.formatting import show_name
@@ -18,22 +18,22 @@ SMALLEST_M, LARGEST_M = 1e-3, 1.0
 class TriangleMesh:
     """A surface of triangles: `vertices_m` (V, 3), metres, in the object frame, and `faces` (F, 3) of indices."""
 
-    vertices_m: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    vertices_m: Floats
+    faces: Ints
 
     @cached_property
-    def triangles_m(self) -> NDArray[np.float64]:
+    def triangles_m(self) -> Floats:
         """The corners (F, 3, 3) of every face, metres."""
         return self.vertices_m[self.faces]
 
     @cached_property
-    def face_areas(self) -> NDArray[np.float64]:
+    def face_areas(self) -> Floats:
         """Area (F,) of every face in square metres."""
         a, b, c = np.moveaxis(self.triangles_m, 1, 0)
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
     @cached_property
-    def vertex_normals(self) -> NDArray[np.float64]:
+    def vertex_normals(self) -> Floats:
         """The unit normal (V, 3) at each vertex: the area-weighted mean over its faces, or zero without faces."""
         a, b, c = np.moveaxis(self.triangles_m, 1, 0)
         normals = np.zeros_like(self.vertices_m)
@@ -42,17 +42,17 @@ class TriangleMesh:
         return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
 
     @property
-    def extents_m(self) -> NDArray[np.float64]:
+    def extents_m(self) -> Floats:
         """Size (3,) of the axis-aligned box around the surface, metres."""
         return np.ptp(self.vertices_m, axis=0)
 
     @cached_property
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> Floats:
         """The vertices (V, 3) that belong to faces, metres."""
         return self.vertices_m[np.unique(self.faces)]
 
     @cached_property
-    def hull_corners_m(self) -> NDArray[np.float64]:
+    def hull_corners_m(self) -> Floats:
         """The corners (V, 3) of the surface's convex hull, metres; all vertices if the surface is flat."""
         from scipy.spatial import ConvexHull, QhullError
 
@@ -62,12 +62,12 @@ class TriangleMesh:
             return self.corners_m
 
     @cached_property
-    def centroid_m(self) -> NDArray[np.float64]:
+    def centroid_m(self) -> Floats:
         """Centroid (3,) of the surface, metres: exact, not sampled."""
         return np.average(self.triangles_m.mean(axis=1), axis=0, weights=self.face_areas)
 
     @cached_property
-    def covariance_m2(self) -> NDArray[np.float64]:
+    def covariance_m2(self) -> Floats:
         """Covariance (3, 3) of the surface's points in square metres, exact.
 
         Over a triangle with corners v, the mean of p p^T is (sum v v^T + (sum v)(sum v)^T) / 12.
@@ -77,7 +77,7 @@ class TriangleMesh:
         moments = np.einsum("fki,fkj->fij", v, v) + np.einsum("fi,fj->fij", s, s)
         return np.einsum("f,fij->ij", self.face_areas, moments) / (12.0 * self.face_areas.sum())
 
-    def sample(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    def sample(self, count: int, rng: np.random.Generator) -> Floats:
         """Draw points (count, 3), metres, uniformly over the surface."""
         faces = rng.choice(len(self.faces), size=count, p=self.face_areas / self.face_areas.sum())
         a, b, c = np.moveaxis(self.triangles_m[faces], 1, 0)
@@ -130,7 +130,7 @@ def check_surface(mesh: TriangleMesh, name: str) -> None:
         )
 
 
-def find_shared_sides(corners: NDArray[np.float64]) -> NDArray[np.int64]:
+def find_shared_sides(corners: Floats) -> Ints:
     """Return the pairs (E, 2) of sides of triangles (F, 3, 3) that are the same edge, from different triangles.
 
     Side 3 f + k of triangle f leads from its corner k to the next one. Corners are the same if they are exactly equal.

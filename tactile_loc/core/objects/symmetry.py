@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Bools, Floats, make_transform, rotation_about
 from tactile_loc.core.runtime.errors import SymmetryError
 
 MAX_ORDER = 120
@@ -35,13 +35,13 @@ class SymmetryTerm:
     order: float
 
     @property
-    def unit_axis(self) -> NDArray[np.float64]:
+    def unit_axis(self) -> Floats:
         """The axis (3,) as a unit vector."""
         axis = np.array(self.axis, dtype=np.float64)
         return axis / np.linalg.norm(axis)
 
     @property
-    def rotation(self) -> NDArray[np.float64]:
+    def rotation(self) -> Floats:
         """The smallest rotation (3, 3) of a finite term."""
         return rotation_about(self.axis, 2.0 * math.pi / self.order)
 
@@ -58,7 +58,7 @@ def name_axis(axis: ArrayLike) -> str:
     return "axis(" + ",".join(f"{component:.9g}" for component in a + 0.0) + ")"
 
 
-def close_rotations(generators: Sequence[NDArray[np.float64]]) -> NDArray[np.float64] | None:
+def close_rotations(generators: Sequence[Floats]) -> Floats | None:
     """Return all products (K, 3, 3) of generators (3, 3), the identity first; None if there are over MAX_ORDER."""
     found = [np.eye(3)]
     for rotation in found:  # the list grows during the loop
@@ -82,10 +82,10 @@ class SymmetryGroup:
     SymmetryError if the terms generate more than MAX_ORDER rotations.
     """
 
-    centre_m: NDArray[np.float64]
+    centre_m: Floats
     terms: tuple[SymmetryTerm, ...] = ()
-    rotations: NDArray[np.float64] = field(init=False, repr=False)
-    continuous_axis: NDArray[np.float64] | None = field(init=False, repr=False)
+    rotations: Floats = field(init=False, repr=False)
+    continuous_axis: Floats | None = field(init=False, repr=False)
     is_sphere: bool = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -131,7 +131,7 @@ class SymmetryGroup:
         """True if the identity is the only element."""
         return self.order == 1
 
-    def list_elements(self, max_step_rad: float = math.radians(10.0)) -> NDArray[np.float64]:
+    def list_elements(self, max_step_rad: float = math.radians(10.0)) -> Floats:
         """Return all elements as transforms T_object_object (K, 4, 4), metres, the identity first.
 
         A continuous axis is sampled at equal steps of at most `max_step_rad`. Their number is even, so that half turns
@@ -141,7 +141,7 @@ class SymmetryGroup:
         R = self._sample_rotations(max_step_rad)
         return make_transform(R, self.centre_m - R @ self.centre_m)
 
-    def list_half_steps(self) -> NDArray[np.float64]:
+    def list_half_steps(self) -> Floats:
         """Return the turns by half a step of each rotational symmetry, as transforms T_object_object (K, 4, 4), metres.
 
         A part whose symmetry is broken by one feature, such as the socket of a screw, looks almost the same after them.
@@ -153,7 +153,7 @@ class SymmetryGroup:
         R = np.stack([rotation_about(term.axis, math.pi / term.order) for term in finite])
         return make_transform(R, self.centre_m - R @ self.centre_m)
 
-    def is_representative(self, R: NDArray[np.float64], step_rad: float | None = None) -> NDArray[np.bool_]:
+    def is_representative(self, R: Floats, step_rad: float | None = None) -> Bools:
         """Return which rotations R_sensor_object (N, 3, 3) represent their equivalents {R S : S in group}, as (N,).
 
         The representative is the equivalent nearest to a fixed rotation (a Dirichlet domain). If several are equally
@@ -175,14 +175,14 @@ class SymmetryGroup:
         half_step_rad = step_rad / 2.0
         return is_nearest & (angle_rad[:, 0] > -half_step_rad) & (angle_rad[:, 0] <= half_step_rad)
 
-    def measure_least_angle(self, R_reference: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.float64]:
+    def measure_least_angle(self, R_reference: Floats, R: Floats) -> Floats:
         """Return the least angle (N,), radians, from R_reference (3, 3) to the equivalents of rotations R (N, 3, 3)."""
         if self.is_sphere:
             return np.zeros(len(R))
         nearness, _ = self._measure_nearness(R, R_reference)  # a trace is 1 + 2 cos(angle)
         return np.arccos(np.clip(0.5 * (nearness.max(axis=1) - 1.0), -1.0, 1.0))
 
-    def _sample_rotations(self, max_step_rad: float) -> NDArray[np.float64]:
+    def _sample_rotations(self, max_step_rad: float) -> Floats:
         if not max_step_rad > 0:
             raise SymmetryError(f"the step along a continuous symmetry is {max_step_rad} rad; give a positive number")
         if self.is_sphere:
@@ -193,9 +193,7 @@ class SymmetryGroup:
         about_axis = rotation_about(self.continuous_axis, np.arange(count) * (2.0 * math.pi / count))
         return (self.rotations[:, None] @ about_axis[None]).reshape(-1, 3, 3)
 
-    def _measure_nearness(
-        self, R: NDArray[np.float64], R_ref: NDArray[np.float64] | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _measure_nearness(self, R: Floats, R_ref: Floats | None = None) -> tuple[Floats, Floats]:
         """Return the largest tr(R_ref^T R S_k R_axis(angle)) over angles about the continuous axis, (N, K).
 
         Also return the angles (N, K) at which it occurs.
@@ -237,7 +235,7 @@ def _parse_axis(match: re.Match[str]) -> tuple[float, float, float] | None:
 
 
 @lru_cache(maxsize=1)
-def _list_icosahedral_rotations() -> NDArray[np.float64]:
+def _list_icosahedral_rotations() -> Floats:
     """Return the rotations (60, 3, 3) of an icosahedron, the identity first."""
     five, three = SymmetryTerm((0.0, 1.0, (1.0 + math.sqrt(5.0)) / 2.0), 5), SymmetryTerm((1.0, 1.0, 1.0), 3)
     rotations = close_rotations([five.rotation, three.rotation])
@@ -245,7 +243,7 @@ def _list_icosahedral_rotations() -> NDArray[np.float64]:
     return rotations
 
 
-def _list_flips(terms: Sequence[SymmetryTerm], axis: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _list_flips(terms: Sequence[SymmetryTerm], axis: Floats) -> Floats | None:
     """Return the identity and, if a term has one, a half turn perpendicular to the continuous axis: (1 or 2, 3, 3).
 
     Any other term makes the object a sphere. Then the result is None.

@@ -4,9 +4,8 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import axis_angle, rotation_about
+from tactile_loc.core.geometry.rigid import Floats, axis_angle, rotation_about
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.objects.symmetry import MAX_ORDER, SymmetryGroup, SymmetryTerm, close_rotations, name_axis
 from tactile_loc.core.objects.symmetry_surface import SurfaceProbe
@@ -64,7 +63,7 @@ def require_symmetry(group: SymmetryGroup, mesh: TriangleMesh) -> None:
         )
 
 
-Deviation = tuple[float, NDArray[np.float64], NDArray[np.float64]]  # distance, rotation (3, 3), point (3,)
+Deviation = tuple[float, Floats, Floats]  # distance, rotation (3, 3), point (3,)
 
 
 def _find_worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float, all_points: bool = True) -> Deviation:
@@ -90,7 +89,7 @@ def _find_worst(probe: SurfaceProbe, group: SymmetryGroup, tolerance_m: float, a
     return worst
 
 
-def _list_generators(group: SymmetryGroup) -> list[NDArray[np.float64]]:
+def _list_generators(group: SymmetryGroup) -> list[Floats]:
     """Return a group's generators (3, 3) and their inverses. One rotation represents a continuous axis."""
     forward = [rotation_about(t.axis, _GOLDEN_RAD) if math.isinf(t.order) else t.rotation for t in group.terms]
     return [R for one in forward for R in ((one,) if np.allclose(one, one.T) else (one, one.T))]
@@ -107,7 +106,7 @@ class _Search:
         self._probe = probe
         self._tolerance_m = tolerance_m
 
-    def group(self, candidates: Iterable[tuple[NDArray[np.float64], float]]) -> SymmetryGroup:
+    def group(self, candidates: Iterable[tuple[Floats, float]]) -> SymmetryGroup:
         """Return the group of those candidates (axis, order) that are compatible, with the highest orders preferred."""
         group = SymmetryGroup(self._probe.centre_m)
         for term in sorted((self._find_term(*candidate) for candidate in candidates), key=_rank_term):
@@ -124,11 +123,11 @@ class _Search:
                 group = larger
         return group
 
-    def is_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
+    def is_symmetry(self, axis: Floats, angle_rad: float) -> bool:
         """Return whether a rotation maps the surface onto itself, within the tolerance."""
         return self._is_nearly_symmetry(axis, angle_rad) and self._has_no_feature(axis, angle_rad)
 
-    def _is_nearly_symmetry(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
+    def _is_nearly_symmetry(self, axis: Floats, angle_rad: float) -> bool:
         """Return whether a rotation maps a few points of the surface onto the surface, except a thousandth of them."""
         R, few, half_m = rotation_about(axis, angle_rad), self._probe.few, 0.5 * self._tolerance_m
         deviation_m = self._probe.deviation_m(few[:150].rotate(R), half_m, candidates=24)
@@ -138,18 +137,18 @@ class _Search:
         kept_m = np.sort(deviation_m)[: _count_kept(len(deviation_m))]
         return bool(kept_m[-1] <= self._tolerance_m and np.mean(kept_m**2) <= half_m**2)
 
-    def _has_no_feature(self, axis: NDArray[np.float64], angle_rad: float) -> bool:
+    def _has_no_feature(self, axis: Floats, angle_rad: float) -> bool:
         """Return whether no patch of the surface, rotated in either direction, is beyond the tolerance."""
         angles_rad = (angle_rad,) if angle_rad == math.pi else (angle_rad, -angle_rad)
         rotated = (self._probe.many.rotate(rotation_about(axis, angle)) for angle in angles_rad)
         return not any(self._probe.patch_deviation_m(moved, self._tolerance_m)[0] for moved in rotated)
 
-    def _is_continuous(self, axis: NDArray[np.float64]) -> bool:
+    def _is_continuous(self, axis: Floats) -> bool:
         """Return whether every rotation about an axis (3,) maps the surface onto itself."""
         angles_rad = [k * _GOLDEN_RAD for k in range(1, 7)]
         return all(self._is_nearly_symmetry(axis, a) for a in angles_rad) and self._has_no_feature(axis, _GOLDEN_RAD)
 
-    def order_about(self, axis: NDArray[np.float64], multiple_of: int = 1) -> float:
+    def order_about(self, axis: Floats, multiple_of: int = 1) -> float:
         """Return the order of the symmetry about an axis (3,): math.inf, 2 to 60, or 1 without symmetry."""
         if self._is_continuous(axis):
             return math.inf
@@ -162,23 +161,23 @@ class _Search:
                 return order
         return 1
 
-    def _has_nearly_order(self, axis: NDArray[np.float64], order: int) -> bool:
+    def _has_nearly_order(self, axis: Floats, order: int) -> bool:
         # a screw thread passes the test for small angles, so every multiple is tested, the half turn first
         return all(self._is_nearly_symmetry(axis, 2.0 * math.pi * k / order) for k in range(order // 2, 0, -1))
 
-    def terms_about(self, axis: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
+    def terms_about(self, axis: Floats) -> list[tuple[Floats, float]]:
         """Return the terms about an axis (3,) with a distinct moment, and about a perpendicular axis."""
         order = self.order_about(axis)
         terms = [(axis, order)] if order > 1 else []
         flip = self._flip(axis, order)
         return terms if flip is None else [*terms, (flip, 2.0)]
 
-    def terms_anywhere(self, extra: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], float]]:
+    def terms_anywhere(self, extra: Floats) -> list[tuple[Floats, float]]:
         """Return the terms of a surface with three equal moments. The directions `extra` (E, 3) are tested first."""
         few = self._probe.few
         if all(self._is_continuous(axis) for axis in np.eye(3)):
             return [(axis, math.inf) for axis in np.eye(3)[[2, 0]]]  # a sphere
-        terms: list[tuple[NDArray[np.float64], float]] = []
+        terms: list[tuple[Floats, float]] = []
         points_m = few.points_m[:200]
         for scanned in _SCAN_ORDERS:
             if scanned > 3 and any(order > 2 for _, order in terms):
@@ -197,7 +196,7 @@ class _Search:
                 terms.append((polished, max(order, scanned)))
         return terms
 
-    def _flip(self, axis: NDArray[np.float64], order: float) -> NDArray[np.float64] | None:
+    def _flip(self, axis: Floats, order: float) -> Floats | None:
         """Return the axis (3,) of a half-turn symmetry that is perpendicular to `axis`, or None if there is none."""
         u = _find_perpendicular(axis)
         if math.isinf(order):
@@ -213,30 +212,26 @@ class _Search:
                 return equivalents[np.argmax((np.abs(equivalents) * _LETTER_WEIGHTS).max(axis=1))]
         return None
 
-    def _choose_points(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _choose_points(self, axes: Floats) -> Floats:
         """Return points (200, 3): half anywhere, half where half turns about `axes` (K, 3) leave the surface most."""
         points_m = self._probe.few.points_m[:1500]
         rotated_m = np.concatenate([points_m @ rotation_about(axis, math.pi).T for axis in axes])
         distance_m = self._probe.distance_m(rotated_m).reshape(len(axes), -1).max(axis=0)
         return points_m[np.concatenate([np.argsort(distance_m)[-100:], np.arange(100)])]
 
-    def _scan(
-        self, directions: NDArray[np.float64], order: int, points_m: NDArray[np.float64], count: int
-    ) -> NDArray[np.float64]:
+    def _scan(self, directions: Floats, order: int, points_m: Floats, count: int) -> Floats:
         """Return up to `count` clearly different `directions` (K, 3) about which a symmetry of an order fits best."""
         rotated_m = np.concatenate([points_m @ rotation_about(axis, 2.0 * math.pi / order).T for axis in directions])
         distance_m = self._probe.distance_m(rotated_m, candidates=1)
         scores = np.square(distance_m).reshape(len(directions), -1).mean(axis=1)
         spacing = np.sort(np.abs(directions @ directions[0]))[-min(4, len(directions))]
-        chosen: list[NDArray[np.float64]] = []
+        chosen: list[Floats] = []
         for direction in directions[np.argsort(scores)]:
             if len(chosen) < count and all(abs(direction @ other) < spacing for other in chosen):
                 chosen.append(direction)
         return np.stack(chosen)
 
-    def _polish(
-        self, axis: NDArray[np.float64], angle_rad: float, points_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _polish(self, axis: Floats, angle_rad: float, points_m: Floats) -> Floats:
         """Return the axis (3,), tilted so that a rotation about it fits the surface best.
 
         Gauss-Newton steps reduce the point-to-plane distances. A tilt by epsilon changes the rotation S into
@@ -256,7 +251,7 @@ class _Search:
                 break
         return axis
 
-    def _find_term(self, axis: NDArray[np.float64], order: float) -> SymmetryTerm:
+    def _find_term(self, axis: Floats, order: float) -> SymmetryTerm:
         """Return the term. If a coordinate axis is within a fifth of the tolerance of `axis`, use that axis instead."""
         axis = axis / np.linalg.norm(axis)
         main = int(np.argmax(np.abs(axis).round(6)))
@@ -267,7 +262,7 @@ class _Search:
         return SymmetryTerm((a, b, c), order)
 
 
-def _is_among(terms: list[tuple[NDArray[np.float64], float]], axis: NDArray[np.float64]) -> bool:
+def _is_among(terms: list[tuple[Floats, float]], axis: Floats) -> bool:
     return any(abs(axis @ other) > math.cos(0.06) for other, _ in terms)
 
 
@@ -280,14 +275,14 @@ def _rank_term(term: SymmetryTerm) -> tuple[float, bool, str]:
     return (-term.order, len(name) > 1, name if len(name) == 1 else "")
 
 
-def _find_perpendicular(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def _find_perpendicular(axis: Floats) -> Floats:
     """Return a unit vector (3,) that is perpendicular to an axis, and near a coordinate axis if possible."""
     unit = np.eye(3)[np.argmin(np.abs(axis).round(2))]
     u = unit - (unit @ axis) * axis
     return u / np.linalg.norm(u)
 
 
-def _sample_hemisphere(count: int) -> NDArray[np.float64]:
+def _sample_hemisphere(count: int) -> Floats:
     """Return directions (count, 3) spread evenly over a half sphere (a Fibonacci spiral)."""
     z = 1.0 - (np.arange(count) + 0.5) / count
     azimuth = np.arange(count) * _GOLDEN_RAD
@@ -295,7 +290,7 @@ def _sample_hemisphere(count: int) -> NDArray[np.float64]:
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
 
 
-def _name_rotation(R: NDArray[np.float64]) -> str:
+def _name_rotation(R: Floats) -> str:
     """Describe a rotation (3, 3), for instance as 'a rotation of 60 deg about z'."""
     angle_deg, axis = axis_angle(R)
     axis = axis.round(3) + 0.0

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tactile_loc.core.geometry.rigid import Bools, Floats
 from tactile_loc.core.objects.mesh import TriangleMesh, find_shared_sides
 
 _DENSE_COUNT = 40_000
@@ -27,8 +28,8 @@ _CURVE_EDGES = 12  # fewer such bends are draft angles and chamfers, not a tesse
 class SurfaceSample:
     """Points (N, 3), metres, of a surface, relative to its centroid, and the facets' errors there (N,), metres."""
 
-    points_m: NDArray[np.float64]
-    open_m: NDArray[np.float64]
+    points_m: Floats
+    open_m: Floats
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -36,7 +37,7 @@ class SurfaceSample:
     def __getitem__(self, some: slice | NDArray[np.intp]) -> SurfaceSample:
         return SurfaceSample(self.points_m[some], self.open_m[some])
 
-    def rotate(self, R: NDArray[np.float64], centre_m: NDArray[np.float64] | float = 0.0) -> SurfaceSample:
+    def rotate(self, R: Floats, centre_m: Floats | float = 0.0) -> SurfaceSample:
         """Return the points rotated by R (3, 3) about a centre (3,), metres, by default the centroid."""
         return SurfaceSample((self.points_m - centre_m) @ R.T + centre_m, self.open_m)
 
@@ -77,9 +78,7 @@ class SurfaceProbe:
         width_m = 2.0 * math.sqrt(max(float(np.linalg.eigvalsh(self.covariance_m2)[0]), 0.0))
         return max(min(0.005 * length_m, 0.01 * width_m), 1e-4 * length_m)
 
-    def plane_residuals(
-        self, points_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    def plane_residuals(self, points_m: Floats) -> tuple[Floats, Floats, Bools]:
         """Return heights (N,) of points (N, 3) above their nearest faces, and the normals (N, 3) of these faces.
 
         Also return which points (N,) are directly above their faces. All other points are nearest to an edge of a face.
@@ -89,14 +88,14 @@ class SurfaceProbe:
         height_m = np.einsum("ni,ni->n", points_m - self._corners[face, 0], normals)
         return height_m, normals, height_m**2 >= 0.99 * squared_m2
 
-    def distance_m(self, points_m: NDArray[np.float64], candidates: int = 4) -> NDArray[np.float64]:
+    def distance_m(self, points_m: Floats, candidates: int = 4) -> Floats:
         """Return the distances (N,) of points (N, 3) to the faces of the `candidates` samples nearest to each point.
 
         Distances can be too large if triangles are long and thin.
         """
         return np.sqrt(self._find_nearest_face(points_m, candidates)[0])
 
-    def deviation_m(self, moved: SurfaceSample, exact_above_m: float, candidates: int = 256) -> NDArray[np.float64]:
+    def deviation_m(self, moved: SurfaceSample, exact_above_m: float, candidates: int = 256) -> Floats:
         """Return the distances (N,) of a moved sample from the surface, minus the facets' errors there.
 
         Deviations above `exact_above_m` are measured again with the faces of more samples, up to `candidates`. For many
@@ -123,14 +122,12 @@ class SurfaceProbe:
         both_m = deviation_m[far[pairs]].min(axis=1)
         return float(both_m.max()), int(far[pairs[both_m.argmax(), 0]])
 
-    def _measure_beyond_facets(self, moved: SurfaceSample, count: int) -> NDArray[np.float64]:
+    def _measure_beyond_facets(self, moved: SurfaceSample, count: int) -> Floats:
         squared_m2, _, faces = self._find_nearest_face(moved.points_m, count)
         here_m = self._open_m[faces[:, :_NEAR]].max(axis=1)
         return np.maximum(np.sqrt(squared_m2) - np.maximum(here_m, moved.open_m), 0.0)
 
-    def _find_nearest_face(
-        self, points_m: NDArray[np.float64], count: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.intp]]:
+    def _find_nearest_face(self, points_m: Floats, count: int) -> tuple[Floats, NDArray[np.intp], NDArray[np.intp]]:
         """Return the squared distance (N,) of each point (N, 3) to its nearest face, and the index (N,) of this face.
 
         Also return the compared faces (N, C), which are those of the C samples nearest to each point.
@@ -143,9 +140,7 @@ class SurfaceProbe:
         row = np.arange(len(nearest))
         return squared_m2[row, nearest], faces[row, nearest], faces
 
-    def _sample(
-        self, count: int, rng: np.random.Generator, at_least: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    def _sample(self, count: int, rng: np.random.Generator, at_least: int) -> tuple[Floats, NDArray[np.intp]]:
         """Return points (N, 3), spread evenly over the surface, and their faces (N,).
 
         Each face has at least `at_least` points, 0 or 1.
@@ -160,7 +155,7 @@ class SurfaceProbe:
         weights = np.stack([1 - u - v, u, v], axis=1)
         return np.einsum("nc,nci->ni", weights, self._corners[face]), face
 
-    def _estimate_open_m(self) -> NDArray[np.float64]:
+    def _estimate_open_m(self) -> Floats:
         """Return an estimate (F,) of the distance between each face and the curved surface that it approximates.
 
         The distance is a multiple of the facets' sagitta, (width / 2) tan(bend / 4), at bends between faces. It is at
@@ -181,9 +176,7 @@ class SurfaceProbe:
         return _FACETS * of_face_m
 
 
-def _measure_squared_distance(
-    points: NDArray[np.float64], corners: NDArray[np.float64], normals: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _measure_squared_distance(points: Floats, corners: Floats, normals: Floats) -> Floats:
     """Return the squared distances (N,) of points (N, 3) to triangles (N, 3, 3) with unit normals (N, 3)."""
     offsets = points[:, None] - corners
     edges = np.roll(corners, -1, axis=1) - corners

@@ -13,11 +13,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform, rotation_about
+from tactile_loc.core.geometry.rigid import Float32, Floats, Ints, Poses, align_to_z, make_transform, rotation_about
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-
-Float32 = NDArray[np.float32]
 
 PATCH_PX, PITCH_M = 41, 5e-4  # side of a patch, size of a pixel; the place is at the centre of the middle pixel
 STEP_M, BELOW = 1.25e-5, 15  # size of a height step; number of steps kept for surface nearer than the place
@@ -57,7 +55,7 @@ class Places:
         return len(self.patches)
 
     @property
-    def placements(self) -> NDArray[np.float64]:
+    def placements(self) -> Floats:
         """The positions, metres, and the unit directions (N, 6) of the places, in the object frame."""
         R, t = self.T_place_object[:, :3, :3], self.T_place_object[:, :3, 3]
         return np.concatenate([-np.einsum("nij,ni->nj", R, t), R[:, 2]], axis=1)
@@ -66,7 +64,7 @@ class Places:
         """Return the contact depths (K, PATCH_PX, PATCH_PX), metres, of the places `some`, cut at the press depth."""
         return cut_patches(self.patches[some], press_depth_m)
 
-    def poses(self, numbers: NDArray[np.int64], yaw_rad: NDArray[np.float64]) -> Poses:
+    def poses(self, numbers: Ints, yaw_rad: Floats) -> Poses:
         """Return poses (K, 4, 4), metres, that bring the places `numbers` (K,) to the origin, rotated by yaws (K,)."""
         R = rotation_about([0.0, 0.0, 1.0], yaw_rad)
         return np.asarray(make_transform(R, np.zeros(3)) @ self.T_place_object[numbers])
@@ -106,7 +104,7 @@ def average_patches(patches: NDArray[np.uint8], signal: Float32, rows: Float32, 
     return sums
 
 
-def _split_weights(weights: Float32) -> tuple[NDArray[np.int64], Float32, Float32]:
+def _split_weights(weights: Float32) -> tuple[Ints, Float32, Float32]:
     """Return the first cell of each pixel (P,), and its weights (P,) in this and the next cell, from (cells, P)."""
     cells, pixels = weights.shape
     firsts = np.minimum((weights != 0).argmax(axis=0), max(0, cells - 2))

@@ -9,17 +9,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform
-from tactile_loc.core.places.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Float32, Places
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Ints, Poses, align_to_z, make_transform
+from tactile_loc.core.places.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Places
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 from tactile_loc.core.sensing.gel_surface import SLACK
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
 
 
-def find_anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def find_anchor(touch: Touch) -> tuple[Floats, Floats]:
     """Return the deepest point (3,) of a touch, metres, in the sensor frame, and the gel's orientation there.
 
     The orientation is R_sensor_gel (3, 3). Its third axis is the gel's normal, which points out of the sensor.
@@ -33,7 +32,7 @@ def find_anchor(touch: Touch) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return np.array([x * k, y * k, z]), _find_gel_frame(geometry, int(row), int(column))
 
 
-def _find_gel_frame(geometry: SensorGeometry, row: int, column: int) -> NDArray[np.float64]:
+def _find_gel_frame(geometry: SensorGeometry, row: int, column: int) -> Floats:
     if geometry.relief_m is None:
         return np.eye(3)
     rows, columns = (slice(max(0, i - 1), i + 2) for i in (row, column))
@@ -44,12 +43,8 @@ def _find_gel_frame(geometry: SensorGeometry, row: int, column: int) -> NDArray[
 
 
 def rotate_patches(
-    touch: Touch,
-    anchor_m: NDArray[np.float64],
-    R_sensor_gel: NDArray[np.float64],
-    yaw_rad: NDArray[np.float64],
-    known: NDArray[np.bool_] | None = None,
-) -> tuple[Float32, NDArray[np.bool_]]:
+    touch: Touch, anchor_m: Floats, R_sensor_gel: Floats, yaw_rad: Floats, known: Bools | None = None
+) -> tuple[Float32, Bools]:
     """Return a touch's patch around its anchor (3,), metres, rotated back by each of M yaws (M,), as CAMERA sees it.
 
     The patches (M, PATCH_PX, PATCH_PX) are contact depths, metres, cut at the touch's press depth. They are measured
@@ -141,7 +136,7 @@ class TouchBounds:
     high_m: Float32
     most_m: float
 
-    def measure_excess(self, places: Places, numbers: NDArray[np.int64], yaws: NDArray[np.int64]) -> Float32:
+    def measure_excess(self, places: Places, numbers: Ints, yaws: Ints) -> Float32:
         """Return how far rotated places leave the bounds, squared and summed over the patch (K,), square metres.
 
         Pair k is the place `numbers[k]` at the yaw number `yaws[k]`.
@@ -152,7 +147,7 @@ class TouchBounds:
         return excess * np.float32(STEP_M**2)
 
 
-def bound_touch(touch: Touch, yaws_rad: NDArray[np.float64]) -> TouchBounds:
+def bound_touch(touch: Touch, yaws_rad: Floats) -> TouchBounds:
     """Return the bounds of what an elastic gel shows, at M yaws.
 
     Where the gel touches, a place must be at the gel's surface. Elsewhere, it must be beyond the surface.

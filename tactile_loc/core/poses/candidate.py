@@ -2,15 +2,14 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from tactile_loc.core.geometry.rigid import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A pose to refine: `T_sensor_object` (4, 4), metres, its grid index and log-probability."""
 
-    T_sensor_object: NDArray[np.float64]
+    T_sensor_object: Floats
     index: int
     log_p: float
 
@@ -32,12 +31,12 @@ class RefinedPose:
     the refiner computes it.
     """
 
-    T_sensor_object: NDArray[np.float64]
+    T_sensor_object: Floats
     contact_iou: float
     converged: bool
     iterations: int
-    covariance: NDArray[np.float64] | None = None
-    T_sensors_object: NDArray[np.float64] | None = None
-    T_reported_object: NDArray[np.float64] | None = None
-    reported_covariance: NDArray[np.float64] | None = None
+    covariance: Floats | None = None
+    T_sensors_object: Floats | None = None
+    T_reported_object: Floats | None = None
+    reported_covariance: Floats | None = None
     imprint_iou: float | None = None

@@ -1,11 +1,9 @@
 """Square lattices of translations, and the range of translations that keep an object over the sensing rectangle."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats, Ints
 from tactile_loc.core.runtime.errors import GridError
-
-Float = NDArray[np.float64]
 
 SMALLEST_SPACING_M = 1e-6
 
@@ -13,7 +11,7 @@ PLASTIC = 1.32471795724474602596  # the real root of x^3 = x + 1
 SHIFTS = np.array([1 / PLASTIC, 1 / PLASTIC**2])  # its multiples, modulo 1, fill the unit square: Roberts' R2 sequence
 
 
-def compute_lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArray[np.int64]:
+def compute_lattice_shape(low_m: Floats, high_m: Floats, pitch_m: float) -> Ints:
     """Return how many points (..., 2) `make_plane_lattice` has along x and y, between low and high (..., 2), metres.
 
     Each point is the middle of a square of side `pitch_m`. The squares cover the range, with as few points as possible
@@ -25,7 +23,7 @@ def compute_lattice_shape(low_m: Float, high_m: Float, pitch_m: float) -> NDArra
     return np.asarray(np.maximum(squares, 1).astype(np.int64))
 
 
-def make_plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
+def make_plane_lattice(low_m: Floats, high_m: Floats, pitch_m: float) -> Floats:
     """Return the points (K, 2), metres, of a square lattice, centred between low (2,) and high (2,), metres.
 
     `pitch_m` is the distance between neighbours. x varies slowest. All points lie inside the range. Along each axis, no
@@ -40,7 +38,7 @@ def make_plane_lattice(low_m: Float, high_m: Float, pitch_m: float) -> Float:
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def make_shifted_lattice(low_m: Float, high_m: Float, pitch_m: float, number: int) -> Float:
+def make_shifted_lattice(low_m: Floats, high_m: Floats, pitch_m: float, number: int) -> Floats:
     """Return the points (K, 2), metres, of a shifted square lattice between low (2,) and high (2,), metres.
 
     The shift is `number` times SHIFTS, modulo 1, in pitches. Lattices with successive numbers fill each other's gaps
@@ -70,7 +68,9 @@ def _require_pitch(pitch_m: float) -> None:
         raise GridError(f"a lattice's pitch is {pitch_m * 1e3:g} mm; give a spacing above 0")
 
 
-def find_reachable_translations(points_m: Float, rectangle_m: tuple[float, float, float, float]) -> tuple[Float, Float]:
+def find_reachable_translations(
+    points_m: Floats, rectangle_m: tuple[float, float, float, float]
+) -> tuple[Floats, Floats]:
     """Return the smallest and the largest translations along x and y, each (..., 2), metres, that reach a rectangle.
 
     Between them, the bounding box of the points overlaps the rectangle (x0, x1, y0, y1), metres. `points_m`

@@ -3,9 +3,9 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Floats, Ints, Poses
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.core.runtime.compiled import njit
@@ -17,7 +17,7 @@ def merge_modes(
     radius_m: ArrayLike,
     most: int | None = None,
     tolerance: Tolerance | None = None,
-) -> NDArray[np.int64]:
+) -> Ints:
     """Return, for each pose (K, 4, 4), metres, the index (K,) of the pose that it merges with.
 
     The poses are sorted, the likeliest first. A pose merges with the likeliest kept pose that is nearer than
@@ -63,9 +63,7 @@ def choose_apart(points, radius, count):
     return chosen[:found]
 
 
-def suppress_non_maxima(
-    poses: Poses, worth: NDArray[np.float64], metric: PoseMetric, radius_m: float, count: int
-) -> NDArray[np.int64]:
+def suppress_non_maxima(poses: Poses, worth: Floats, metric: PoseMetric, radius_m: float, count: int) -> Ints:
     """Return the indices of at most `count` poses (K, 4, 4), sorted by their `worth` (K,), the greatest first.
 
     No chosen pose is within `radius_m` metres of a pose with greater worth. Symmetries do not count.

@@ -12,9 +12,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, make_transform, transform_points
+from tactile_loc.core.geometry.rigid import Bools, Floats, Ints, Poses, make_transform, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import GridError
 
@@ -32,19 +31,19 @@ class PoseMetric:
     object: ObjectModel
 
     @cached_property
-    def _lever(self) -> NDArray[np.float64]:
+    def _lever(self) -> Floats:
         if self.object.symmetry.is_sphere:
             return np.zeros((3, 3))
         values, vectors = np.linalg.eigh(self.object.mesh.covariance_m2)
         return vectors * np.sqrt(np.clip(values, 0.0, None))
 
-    def embed(self, T_sensor_object: Poses) -> NDArray[np.float64]:
+    def embed(self, T_sensor_object: Poses) -> Floats:
         """Map poses (N, 4, 4) to points phi (N, 12), metres. The Euclidean distance of two points is the metric."""
         R, t = np.ascontiguousarray(T_sensor_object[..., :3, :3]), T_sensor_object[..., :3, 3]
         rotated = (R.reshape(-1, 3) @ self._lever).reshape(*R.shape[:-2], 9)  # one large product is faster
         return np.concatenate([rotated, R @ self.object.mesh.centroid_m + t], axis=-1)
 
-    def embed_orbits(self, T_sensor_object: Poses) -> NDArray[np.float64]:
+    def embed_orbits(self, T_sensor_object: Poses) -> Floats:
         """Map poses (N, 4, 4) to points (K, N, D), metres, one row for each of K equivalents by symmetry.
 
         To compare two poses up to symmetry, take the first point of one pose and all K points of the other. The least
@@ -67,7 +66,7 @@ class PoseMetric:
         columns = [(lever_m * R @ S @ a, R @ (centre + S @ offset) + t) for S in symmetry.rotations]
         return np.stack([np.concatenate(pair, axis=-1) for pair in columns])
 
-    def distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
+    def distance(self, T1: Poses, T2: Poses) -> Floats:
         """Return the distances (...), metres, between poses T1 and T2 (..., 4, 4), ignoring symmetry."""
         return np.linalg.norm(self.embed(T1) - self.embed(T2), axis=-1)
 
@@ -95,7 +94,7 @@ class PoseMetric:
         )
         return np.asarray(same[far.argmin(axis=0), np.arange(len(T_near))])
 
-    def symmetric_distance(self, T1: Poses, T2: Poses) -> NDArray[np.float64]:
+    def symmetric_distance(self, T1: Poses, T2: Poses) -> Floats:
         """Return the exact distances (N,), metres, between poses T1 and T2 (N, 4, 4), up to symmetry."""
         return np.linalg.norm(self.embed_orbits(T1) - self.embed_orbits(T2)[0], axis=-1).min(axis=0)
 
@@ -126,7 +125,7 @@ class PoseGrid:
         level, height = (self, 0.0) if self._level is None else self._level
         return PoseGrid(T, self.metric, (level, height + height_m))
 
-    def _move_to_level(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _move_to_level(self, points: Floats) -> Floats:
         """Map points (..., D) of the metric's space to the level of the search trees."""
         if self._level is None:
             return points
@@ -135,7 +134,7 @@ class PoseGrid:
         return lowered
 
     @cached_property
-    def phi(self) -> NDArray[np.float64]:
+    def phi(self) -> Floats:
         """The points (N, 12), metres, of the grid's poses in the metric's space."""
         return self.metric.embed(self.T_sensor_object)
 
@@ -157,9 +156,7 @@ class PoseGrid:
             return self._tree
         return cKDTree(self.metric.embed_orbits(self.T_sensor_object)[0], leafsize=LEAF)
 
-    def nearest(
-        self, T_sensor_object: Poses, within_m: float = np.inf
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def nearest(self, T_sensor_object: Poses, within_m: float = np.inf) -> tuple[Floats, Ints]:
         """Return the distance (M,), metres, and the index (M,) of the grid pose nearest to each pose (M, 4, 4).
 
         Distances are up to symmetry. If no grid pose is nearer than `within_m` metres, the distance is inf and the
@@ -184,34 +181,34 @@ class PoseGrid:
         points = self.metric.embed_orbits(self.T_sensor_object[some])[0]
         return float(self._orbit_tree.query(points, k=2)[0][:, 1].mean())
 
-    def distances(self, T_sensor_object: Poses) -> NDArray[np.float64]:
+    def distances(self, T_sensor_object: Poses) -> Floats:
         """Return the distances (N,), metres, of all grid poses from one pose (4, 4), up to symmetry."""
         same = self._move_to_level(self.metric.embed_orbits(T_sensor_object[None])[:, 0])
         return np.asarray(measure_distances(self._orbit_tree.data, same).min(axis=1))
 
-    def neighbour_spacing(self, subset: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
+    def neighbour_spacing(self, subset: Ints | None = None) -> Floats:
         """Return the distance (N,), metres, between each pose and the nearest other pose of the grid.
 
         Symmetry is ignored. If `subset` (N,) is given, only the poses with these indices get a distance.
         """
         points = self.phi if subset is None else self.phi[subset]
-        distances: NDArray[np.float64] = self._tree.query(self._move_to_level(points), k=2)[0]
+        distances: Floats = self._tree.query(self._move_to_level(points), k=2)[0]
         return distances[:, 1]
 
-    def find_within(self, radius_m: float, index: int) -> NDArray[np.int64]:
+    def find_within(self, radius_m: float, index: int) -> Ints:
         """Return the indices (K,) of poses within `radius_m` metres of grid pose `index`, up to symmetry."""
         same = self.metric.embed_orbits(self.T_sensor_object[index : index + 1])[:, 0]
         found = self._orbit_tree.query_ball_point(self._move_to_level(same), radius_m)
         return np.unique(np.concatenate([np.asarray(f, np.int64) for f in found]))
 
 
-def measure_distances(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def measure_distances(a: Floats, b: Floats) -> Floats:
     """Return the Euclidean distances (A, B) between points (A, D) and (B, D), with a relative error of about 1e-8."""
     squared = (a * a).sum(axis=1)[:, None] - 2 * (a @ b.T) + (b * b).sum(axis=1)
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-def remove_equivalent(T_sensor_object: Poses, metric: PoseMetric, radius_m: float) -> NDArray[np.bool_]:
+def remove_equivalent(T_sensor_object: Poses, metric: PoseMetric, radius_m: float) -> Bools:
     """Return which poses (N, 4, 4) to keep (N,), so that no two kept poses are equal by symmetry.
 
     Poses within `radius_m` metres of each other, up to symmetry, count as equal. If the object has no symmetry, all

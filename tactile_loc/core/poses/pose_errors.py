@@ -17,9 +17,8 @@ sinusoids' minima. Intervals that could contain a better roll are halved, until 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, transform_points
+from tactile_loc.core.geometry.rigid import Floats, Ints, Poses, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
@@ -38,10 +37,8 @@ ALIKE = 1.25  # symmetries are tried up to this multiple of the least root mean 
 TRIED, TRIED_POINTS, MEASURED = 24, 300, 2  # of many symmetries: tried ones, points per try, fully measured ones
 AT_ONCE = 32  # transforms applied to all points at once
 
-Float64 = NDArray[np.float64]
 
-
-def compute_adds(obj: ObjectModel, points_m: Float64, T_estimates: Poses, T_true: Poses) -> Float64:
+def compute_adds(obj: ObjectModel, points_m: Floats, T_estimates: Poses, T_true: Poses) -> Floats:
     """Return ADD (K,), metres, of estimates (K, 4, 4): the least over the poses symmetric to the true pose (4, 4).
 
     If there are many symmetries, some with a small root mean square distance are selected. These symmetries are tried
@@ -63,8 +60,8 @@ def compute_adds(obj: ObjectModel, points_m: Float64, T_estimates: Poses, T_true
 
 
 def measure_pose_errors(
-    obj: ObjectModel, T: Poses, T_other: Poses, points_m: Float64 | None = None, limit_m: float = 0.0
-) -> Float64:
+    obj: ObjectModel, T: Poses, T_other: Poses, points_m: Floats | None = None, limit_m: float = 0.0
+) -> Floats:
     """Return the pose errors (K,), metres, between poses T (K, 4, 4) and T_other, (K, 4, 4) or (4, 4).
 
     With `points_m` (P, 3), metres, in the object's frame, only these points count, not the whole surface. A positive
@@ -213,7 +210,7 @@ def _bound_largest(waves, middle, half, enough):
     return largest
 
 
-def compute_add_s(points_m: Float64, T_estimates: Poses, T_true: Poses, every: int = 1) -> Float64:
+def compute_add_s(points_m: Floats, T_estimates: Poses, T_true: Poses, every: int = 1) -> Floats:
     """Return ADD-S (ADI) (K,), metres, of estimates (K, 4, 4) and the true pose (4, 4).
 
     This is the mean distance from object points (P, 3) at the true pose to the nearest point at the estimate. The mean
@@ -225,16 +222,16 @@ def compute_add_s(points_m: Float64, T_estimates: Poses, T_true: Poses, every: i
     return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
 
 
-def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> Float64:
+def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> Floats:
     """Return the root mean square surface distances (K, E), metres, between estimates (K, 4, 4) and poses (E, 4, 4)."""
     from scipy.spatial.distance import cdist
 
     metric = PoseMetric(obj)
-    distances: Float64 = cdist(metric.embed(T_estimates), metric.embed(same))
+    distances: Floats = cdist(metric.embed(T_estimates), metric.embed(same))
     return distances
 
 
-def _choose_alike(rms_m: Float64) -> NDArray[np.int64]:
+def _choose_alike(rms_m: Floats) -> Ints:
     """Choose TRIED of the E symmetries for each estimate, spread evenly over those near the least distance."""
     order = np.argsort(rms_m, axis=1)
     least = np.take_along_axis(rms_m, order[:, :1], axis=1)
@@ -243,20 +240,20 @@ def _choose_alike(rms_m: Float64) -> NDArray[np.int64]:
     return np.take_along_axis(order, steps.astype(np.int64), axis=1)
 
 
-def _measure_distances(points_m: Float64, difference: Poses) -> Float64:
+def _measure_distances(points_m: Floats, difference: Poses) -> Floats:
     """Return the distances (D, P), metres, of points (P, 3) between poses whose matrices differ by (D, 4, 4)."""
     moved = difference[:, :3, :3] @ points_m.T + difference[:, :3, 3:]
     return np.sqrt(np.einsum("dip,dip->dp", moved, moved))
 
 
-def _average_distances(points_m: Float64, difference: Poses) -> Float64:
+def _average_distances(points_m: Floats, difference: Poses) -> Floats:
     """Return mean distances (...,), metres, of points (P, 3) between poses whose matrices differ by (..., 4, 4)."""
     flat = difference.reshape(-1, 4, 4)
     means = [_measure_distances(points_m, flat[i : i + AT_ONCE]).mean(axis=1) for i in range(0, len(flat), AT_ONCE)]
     return np.concatenate(means).reshape(difference.shape[:-2])
 
 
-def find_least_mean(obj: ObjectModel, points_m: Float64, T_estimate: Poses, T_true: Poses) -> float:
+def find_least_mean(obj: ObjectModel, points_m: Floats, T_estimate: Poses, T_true: Poses) -> float:
     """Return the least mean distance, metres, of points (P, 3) between a pose (4, 4) and the rolled true pose (4, 4).
 
     The least is over all rolls about the object's continuous axis of symmetry.
@@ -278,13 +275,13 @@ def _list_flips(obj: ObjectModel) -> Poses:
     return obj.symmetry.list_elements(np.pi)[::2]
 
 
-def _find_frame(obj: ObjectModel) -> tuple[Float64, Float64]:
+def _find_frame(obj: ObjectModel) -> tuple[Floats, Floats]:
     """Return the unit direction (3,) of the continuous axis of symmetry, and a point (3,) of it, metres."""
     symmetry = obj.symmetry
     return np.ascontiguousarray(symmetry.continuous_axis, np.float64), np.ascontiguousarray(symmetry.centre_m)
 
 
-def _fit_sinusoids(obj: ObjectModel, points_m: Float64, T_estimate: Poses, T_true: Poses) -> tuple[Float64, float]:
+def _fit_sinusoids(obj: ObjectModel, points_m: Floats, T_estimate: Poses, T_true: Poses) -> tuple[Floats, float]:
     """Return the sinusoids (P, 3), a, b and c, m^2, of the squared distances of points (P, 3) between poses (4, 4).
 
     Also return the roll, radians, of their least mean.
@@ -294,18 +291,18 @@ def _fit_sinusoids(obj: ObjectModel, points_m: Float64, T_estimate: Poses, T_tru
     return waves, _fit_waves(T, other, _find_frame(obj), points_m, waves)
 
 
-def _find_lowest(sinusoids: Float64) -> Float64:
+def _find_lowest(sinusoids: Floats) -> Floats:
     """Return the rolls (...,), radians, at the minima of sinusoids (..., 3)."""
     return np.asarray(np.arctan2(-sinusoids[..., 2], -sinusoids[..., 1]))
 
 
-def _measure_rolled(sinusoids: Float64, rolls: Float64 | float) -> Float64:
+def _measure_rolled(sinusoids: Floats, rolls: Floats | float) -> Floats:
     """Return the distances (..., P), metres, whose squares are sinusoids (P, 3), at rolls (...,), radians."""
     waves = np.stack([np.ones_like(rolls), np.cos(rolls), np.sin(rolls)], axis=-1)
     return np.sqrt(np.maximum(waves @ sinusoids.T, 0.0))
 
 
-def _iterate_weiszfeld(sinusoids: Float64, roll: Float64 | float, rounds: int) -> Float64 | float:
+def _iterate_weiszfeld(sinusoids: Floats, roll: Floats | float, rounds: int) -> Floats | float:
     """Return the roll, radians, after `rounds` of Weiszfeld's iteration for the mean distance.
 
     `sinusoids` (P, 3) are the squared distances.

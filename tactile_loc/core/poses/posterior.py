@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Floats, Ints, Poses
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.runtime.errors import GridError
 
@@ -29,8 +28,8 @@ class Mode:
 
     index: int
     probability: float
-    T_sensor_object: NDArray[np.float64]
-    members: NDArray[np.int64]
+    T_sensor_object: Floats
+    members: Ints
 
 
 @dataclass(frozen=True)
@@ -66,8 +65,8 @@ class PosePosterior:
     """
 
     grid: PoseGrid
-    log_p: NDArray[np.float64]
-    log_train: NDArray[np.float64] | None = None
+    log_p: Floats
+    log_train: Floats | None = None
     touches: int = 1
     elsewhere: float = 0.0
 
@@ -91,11 +90,11 @@ class PosePosterior:
             )
 
     @property
-    def probabilities(self) -> NDArray[np.float64]:
+    def probabilities(self) -> Floats:
         """The probabilities (N,), which sum to one minus `elsewhere`."""
         return np.exp(self.log_p)
 
-    def top(self, count: int) -> NDArray[np.int64]:
+    def top(self, count: int) -> Ints:
         """Return the grid indices (K,) of the `count` most probable poses, the most probable first, ties by index."""
         count = min(count, len(self.log_p))
         least = np.partition(self.log_p, -count)[-count]
@@ -119,7 +118,7 @@ class PosePosterior:
         p = self.probabilities
         return min(1.0, float(p[p > p[index]].sum() + lot * p[p == p[index]].sum()))
 
-    def credible_set(self, level: float, most: int | None = None) -> NDArray[np.int64]:
+    def credible_set(self, level: float, most: int | None = None) -> Ints:
         """Return the indices (K,), likeliest first, of the poses whose `credible_level` is at most `level`.
 
         Unless `elsewhere` is too large, these poses together have at least the probability `level`. If there are more
@@ -154,7 +153,7 @@ class PosePosterior:
         return self.grid.T_sensor_object[rng.choice(len(self.log_p), size=count, p=p)]
 
     def modes(
-        self, radius_m: float, count: int | None = 10, mass: float = 0.99, core: NDArray[np.int64] | None = None
+        self, radius_m: float, count: int | None = 10, mass: float = 0.99, core: Ints | None = None
     ) -> list[Mode]:
         """Return the `count` most probable modes, or all modes if it is None, the most probable first.
 
@@ -183,7 +182,7 @@ def require_pose_left(found: Found | NoPoseLeft) -> Found:
     return found
 
 
-def _climb(grid: PoseGrid, ordered: NDArray[np.int64], radius_m: float) -> NDArray[np.int64]:
+def _climb(grid: PoseGrid, ordered: Ints, radius_m: float) -> Ints:
     """Return the position (K,) of each pose's peak in `ordered` (K,), which are grid indices, most probable first."""
     from scipy.spatial import cKDTree
 
@@ -202,7 +201,7 @@ TIE_NATS = 3e-4  # the rounding of another processor changes log-probabilities o
 GENERIC = np.array([0.71, 1.13, -0.37, 0.93, -1.31, 0.53, -0.83, 0.61, 1.07, 1.49, -1.19, 0.79])  # no pair is alike
 
 
-def group_ties(worth: NDArray[np.float64], tie: float) -> NDArray[np.int64]:
+def group_ties(worth: Floats, tie: float) -> Ints:
     """Return the number (K,) of each value's group: 0 for the greatest of `worth` (K,) and those within `tie` of it.
 
     Each further group has the greatest of the other values and those within `tie` of this value.
@@ -216,6 +215,6 @@ def group_ties(worth: NDArray[np.float64], tie: float) -> NDArray[np.int64]:
     return groups
 
 
-def rank_poses(groups: NDArray[np.int64], T_object: Poses, metric: PoseMetric) -> NDArray[np.int64]:
+def rank_poses(groups: Ints, T_object: Poses, metric: PoseMetric) -> Ints:
     """Return the order (K,) of poses (K, 4, 4), metres, by their `groups` (K,) of ties, and in a group by place."""
     return np.lexsort((metric.embed(T_object) @ GENERIC, groups))

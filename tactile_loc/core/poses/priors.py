@@ -12,15 +12,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from tactile_loc.core.geometry.rigid import Poses, align_to_z, make_transform, require_rigid
+from tactile_loc.core.geometry.rigid import Floats, Ints, Poses, align_to_z, make_transform, require_rigid
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 FORGOTTEN = 1e-6  # the least probable poses of a posterior, which together have this probability, are ignored
 KERNEL_RADII = 6.0  # standard deviations beyond which a kernel counts as zero (e^-18)
@@ -28,14 +26,14 @@ LEAST_SPREAD = 0.5  # grid spacings; the median distance of the true pose from t
 NOTHING = -100.0  # least log of a kernel; its exponential is negligible, and exponentials of smaller numbers are slow
 PAIRS = 500_000  # largest number of pairs of poses and kernels computed at once
 
-Prior = Callable[[Poses], NDArray[np.float64]]
+Prior = Callable[[Poses], Floats]
 
 
 class PosePrior(ABC):
     """Base class for priors over poses in the sensor frame. `view_from` converts a prior over base-frame poses."""
 
     @abstractmethod
-    def __call__(self, T_sensor_object: Poses) -> Array:
+    def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return log-weights (N,), unitless, of poses (N, 4, 4) in metres; -inf excludes."""
 
     @property
@@ -70,7 +68,7 @@ class SeenFrom(PosePrior):
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_base_sensor", require_rigid(self.T_base_sensor, "T_base_sensor of a prior"))
 
-    def __call__(self, T_sensor_object: Poses) -> Array:
+    def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return the log-weights (N,) of poses (N, 4, 4), metres, in the sensor frame."""
         return self.prior(self.T_base_sensor @ T_sensor_object)
 
@@ -90,7 +88,7 @@ class ProductPrior(PosePrior):
 
     priors: tuple[Prior, ...]
 
-    def __call__(self, T_sensor_object: Poses) -> Array:
+    def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return the sums (N,) of the log-weights of all priors."""
         return np.sum([prior(T_sensor_object) for prior in self.priors], axis=0) + np.zeros(len(T_sensor_object))
 
@@ -126,7 +124,7 @@ class GaussianPrior(PosePrior):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of a Gaussian prior is {getattr(self, name)}; give a number above 0")
 
-    def __call__(self, T_sensor_object: Poses) -> Array:
+    def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return the log-weights (N,), 0 at the pose T."""
         symmetry = self.symmetry or SymmetryGroup(np.zeros(3))
         R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
@@ -146,9 +144,9 @@ class RegionPrior(PosePrior):
     the box's frame. None means that both frames are the same. Raises ConfigError if the box is empty or a value is NaN.
     """
 
-    low_m: Array
-    high_m: Array
-    point_m: Array
+    low_m: Floats
+    high_m: Floats
+    point_m: Floats
     T_box: Poses | None = None
 
     def __post_init__(self) -> None:
@@ -176,7 +174,7 @@ class RegionPrior(PosePrior):
             np.array([-np.inf, -np.inf, 0.0]), open_, _require_numbers(point_m, "point_m of a half-space"), T_box
         )
 
-    def __call__(self, T_sensor_object: Poses) -> Array:
+    def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return log-weights (N,): 0 for poses whose point is in the region or on its border, else -inf."""
         T = T_sensor_object if self.T_box is None else self.T_box @ T_sensor_object
         p = T[:, :3, :3] @ self.point_m + T[:, :3, 3]
@@ -211,7 +209,7 @@ class PosteriorPrior(PosePrior):
         if not 0 <= self.floor < 1:
             raise ConfigError(f"the floor of a posterior prior is {self.floor}; give at least 0 and less than 1")
 
-    def __call__(self, T_sensor_object: Poses) -> Array:
+    def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return the log-weights (N,) of poses (N, 4, 4), metres."""
         log_w = np.full(len(T_sensor_object), -np.inf)
         near = np.flatnonzero(self._moved.nearest(T_sensor_object, KERNEL_RADII * self.spread_m)[1] >= 0)
@@ -238,7 +236,7 @@ class PosteriorPrior(PosePrior):
         return max(self.std_m, LEAST_SPREAD * spacing_m if np.isfinite(spacing_m) else 0.0, 1e-6)
 
     @cached_property
-    def _kept(self) -> NDArray[np.int64]:
+    def _kept(self) -> Ints:
         """Indices (M,) of the earlier poses that count: the most probable poses, with all but FORGOTTEN of the mass."""
         order = np.argsort(-self.posterior.log_p, kind="stable")
         mass = np.cumsum(np.exp(self.posterior.log_p[order]))
@@ -249,7 +247,7 @@ class PosteriorPrior(PosePrior):
         earlier = self.posterior.grid
         return PoseGrid(self.T_new_old @ earlier.T_sensor_object[self._kept], earlier.metric)
 
-    def _sum_kernels(self, T_sensor_object: Poses) -> Iterator[tuple[slice, Array]]:
+    def _sum_kernels(self, T_sensor_object: Poses) -> Iterator[tuple[slice, Floats]]:
         """Yield slices of poses (N, 4, 4), each with the log of the sum of kernels. Every pose must be near a kernel.
 
         In units of s, the log of a kernel is log p_j - |x - y_j|^2 / 2. All of these logs are one matrix product:
@@ -283,7 +281,7 @@ def temper(prior: Prior, power: Callable[[int], float]) -> Prior:
     return prior.temper(power) if isinstance(prior, PosePrior) else prior
 
 
-def _require_numbers(values: ArrayLike, what: str) -> Array:
+def _require_numbers(values: ArrayLike, what: str) -> Floats:
     found = np.array(values, dtype=np.float64)
     if found.shape != (3,) or np.isnan(found).any():
         raise ConfigError(f"{what} is {values!r}; give three numbers")

@@ -9,9 +9,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
+from tactile_loc.core.geometry.rigid import Bools, Floats, Poses, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.surface_field import build_surface_field
 from tactile_loc.core.poses.pose_errors import RIGHT_M, measure_pose_errors
@@ -95,7 +94,7 @@ class Tolerance:
             f"{limits} at the tip" if self.tip_m is not None else f"{limits} of the shape" if self.of_shape else limits
         )
 
-    def find_within(self, obj: ObjectModel, T: Poses, T_other: Poses, times: float = 1.0) -> NDArray[np.bool_]:
+    def find_within(self, obj: ObjectModel, T: Poses, T_other: Poses, times: float = 1.0) -> Bools:
         """Return whether the pose T (4, 4), metres, is within the tolerance of each pose T_other (N, 4, 4), as (N,).
 
         Limits count this many `times`.
@@ -109,9 +108,7 @@ class Tolerance:
             within[near] = self.measure_distances(obj, T, T_other[near], limit_m) <= limit_m
         return within
 
-    def measure_distances(
-        self, obj: ObjectModel, T: Poses, T_other: Poses, limit_m: float = 0.0
-    ) -> NDArray[np.float64]:
+    def measure_distances(self, obj: ObjectModel, T: Poses, T_other: Poses, limit_m: float = 0.0) -> Floats:
         """Return the distances (N,), metres, that the tolerance limits, of poses T_other (N, 4, 4) from T (4, 4).
 
         With a positive `limit_m`, metres, a distance is only right in that it is or is not above this limit.
@@ -121,7 +118,7 @@ class Tolerance:
         points_m = None if self.tip_m is None else np.array([self.tip_m])
         return measure_pose_errors(obj, T_other, T, points_m, limit_m)
 
-    def measure_ratios(self, obj: ObjectModel, T: Poses, T_other: Poses) -> NDArray[np.float64]:
+    def measure_ratios(self, obj: ObjectModel, T: Poses, T_other: Poses) -> Floats:
         """Return how far poses T_other (N, 4, 4), metres, are from T (4, 4), as multiples (N,) of the tolerance."""
         ratios = np.zeros(len(T_other))
         if self.rotation_rad is not None:
@@ -135,9 +132,7 @@ class Tolerance:
         return [(scale * limit, unit) for scale, limit, unit in limits if limit is not None]
 
 
-def measure_shape_distances(
-    mesh: TriangleMesh, T: Poses, T_other: Poses, most_m: float = math.inf
-) -> NDArray[np.float64]:
+def measure_shape_distances(mesh: TriangleMesh, T: Poses, T_other: Poses, most_m: float = math.inf) -> Floats:
     """Return the shape distances (N,), metres: the mean distances of the surface at poses T from that at T_other.
 
     One of the two has the shape (N, 4, 4), metres, and the other may have the shape (4, 4). Means up to `most_m` are
@@ -166,5 +161,5 @@ def _build_tree(mesh: TriangleMesh) -> cKDTree:
 
 
 @lru_cache(maxsize=64)
-def _sample_points(mesh: TriangleMesh) -> NDArray[np.float64]:
+def _sample_points(mesh: TriangleMesh) -> Floats:
     return mesh.sample(POINTS, np.random.default_rng(0))

@@ -9,9 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.geometry.rigid import Floats, Poses, invert
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.estimates import Estimates, PoseFusion, scale
@@ -82,7 +81,7 @@ class _Combined:
     poses: list[RefinedPose]
     T_reported: Poses
     seen: Poses
-    explained: NDArray[np.float64]
+    explained: Floats
 
 
 def _combine(views: Sequence[View], T_first_object: Poses, alone: Alone, prior: Prior | None) -> _Combined:
@@ -110,13 +109,13 @@ def _combine(views: Sequence[View], T_first_object: Poses, alone: Alone, prior: 
     return found
 
 
-def _measure_moves_m(before: Poses, after: Poses) -> NDArray[np.float64]:
+def _measure_moves_m(before: Poses, after: Poses) -> Floats:
     """Return how far poses (K, 4, 4) moved, metres; a rotation counts as the motion of a point at LEVER_M."""
     moves = np.abs(after - before)[:, :3]
     return np.asarray((moves * [LEVER_M, LEVER_M, LEVER_M, 1.0]).max(axis=(1, 2), initial=0.0))
 
 
-def _explain(views: Sequence[View], T_sensors_object: Poses) -> NDArray[np.float64]:
+def _explain(views: Sequence[View], T_sensors_object: Poses) -> Floats:
     """Return the mean contact IoUs and imprint IoUs (2, K), over N touches, of poses (K, N, 4, 4) in their frames."""
     if not len(T_sensors_object):
         return np.empty((2, 0))

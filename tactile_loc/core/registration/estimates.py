@@ -17,10 +17,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import adjoint, exponential, logarithm, move_covariance
-from tactile_loc.core.geometry.rigid import Poses, cross_matrix, invert
+from tactile_loc.core.geometry.rigid import Floats, Poses, cross_matrix, invert
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import Covariances, JointRegistration, convert_to_covariances
@@ -31,7 +30,6 @@ from tactile_loc.core.sensing.scene import View
 STEPS, SETTLED_MM = 20, 1e-7  # most Gauss-Newton steps, and the length of a step at convergence
 LEVER_MM = 10.0  # a rotation counts as the motion of a point at this distance from its axis
 LEAST = 1e-6  # information, 1/mm^2 or 1/rad^2, that holds a pose where no touch and no prior determines it
-Floats = NDArray[np.float64]
 Order = [3, 4, 5, 0, 1, 2]
 
 

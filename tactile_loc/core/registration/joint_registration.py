@@ -15,11 +15,10 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from tactile_loc.core.geometry.lie import adjoint, move_covariance
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Bools, Floats, Poses
 from tactile_loc.core.objects.blocks import Blocks, make_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.objects.surface_field import build_surface_field
@@ -43,7 +42,6 @@ FINELY = 4  # number of last steps, which use all points
 EARLY = 2  # number of first steps, after which poses are compared
 SAMPLES = 4000  # number of points of the object's surface that must not reach too deep into the gel
 BLOCK = 16  # number of neighbouring samples that are skipped together
-Floats = NDArray[np.float64]
 Covariances = list[Floats | None]
 
 
@@ -229,7 +227,7 @@ class _Found:
         information = self.problem.inform(self.registered, reported)
         return convert_to_covariances(information, at[:, :3, :3] @ (self.problem.middle / MILLI))
 
-    def add_to(self, poses: Sequence[RefinedPose], good: NDArray[np.bool_]) -> list[RefinedPose]:
+    def add_to(self, poses: Sequence[RefinedPose], good: Bools) -> list[RefinedPose]:
         """Return the refined poses; those that are `good` (K,) get covariances and poses in other frames."""
         found = self.registered
         each, reported = _scale(found.T_each, 1 / MILLI), _scale(found.T_reported, 1 / MILLI)

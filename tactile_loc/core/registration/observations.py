@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Float32, Floats, Ints
 from tactile_loc.core.sensing.clouds import make_contact_cloud, make_interior_cloud, make_outline_cloud
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
@@ -14,7 +15,6 @@ from tactile_loc.core.sensing.touch import ContactShape, Touch
 MILLI = 1e3
 FEWEST_PATCHES = 3.0
 UNSEEN = 0.1  # weight of missing contact relative to contact; low, because sensors miss contact and blur edges
-Floats = NDArray[np.float64]
 _Cloud = tuple[Floats, Floats, Floats, Floats]
 
 
@@ -39,16 +39,16 @@ class Observed(NamedTuple):
     nothing is in contact. Touch i has sizes[i] (height, width) squares, in the rows from offsets[i].
     """
 
-    points: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    slack: NDArray[np.float64]
-    starts: NDArray[np.int64]
-    centres: NDArray[np.float64]
-    cameras: NDArray[np.float64]
-    images: NDArray[np.float32]
-    sizes: NDArray[np.int64]
-    offsets: NDArray[np.int64]
+    points: Floats
+    normals: Floats
+    weights: Floats
+    slack: Floats
+    starts: Ints
+    centres: Floats
+    cameras: Floats
+    images: Float32
+    sizes: Ints
+    offsets: Ints
 
 
 def observe(
@@ -74,7 +74,7 @@ class _ObservedOne(NamedTuple):
     """The observation of one touch: points, normals, weights and slack, an image, a camera and the points' middle."""
 
     cloud: _Cloud
-    image: NDArray[np.float32]
+    image: Float32
     camera: Floats
     middle: Floats
 
@@ -136,7 +136,7 @@ def _mask_cloud_mm(
     return points, normals, np.full(len(points), patches / max(len(points), 1) / noise_mm**2), slack_mm
 
 
-def _image_mm(surface: ContactShape, geometry: SensorGeometry, gel_mm: Floats) -> NDArray[np.float32]:
+def _image_mm(surface: ContactShape, geometry: SensorGeometry, gel_mm: Floats) -> Float32:
     """Return the rows of `Observed.images` for one touch, as an image (H - 1, W - 1, 3), mm.
 
     `gel_mm` is the z, mm, of the undeformed gel, one number or (H, W).

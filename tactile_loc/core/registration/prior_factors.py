@@ -7,10 +7,9 @@ the local peak of the prior, and L is the information. Where touches leave a pos
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import exponential
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Floats, Poses
 from tactile_loc.core.poses.priors import Prior
 
 STEPS = np.array([5e-3] * 3 + [1e-4] * 3)  # of finite differences: rad, then m
@@ -18,7 +17,6 @@ MOST = np.array([1.0] * 3 + [5e-2] * 3)  # largest twist from a pose to the peak
 NEWTON_STEPS = 2
 FLAT = 1e-3  # nats at the largest twist MOST, below which a direction of the prior is flat
 ROUNDING = 1e-6  # nats; a peak that seems less probable than its pose by less may be the pose itself
-Floats = NDArray[np.float64]
 
 
 class PriorFactors(NamedTuple):

@@ -11,7 +11,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import (
     adjoint,
@@ -22,7 +21,7 @@ from tactile_loc.core.geometry.lie import (
     move_one,
     multiply_one,
 )
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Floats, invert
 from tactile_loc.core.objects.blocks import Blocks, NearestTriangles
 from tactile_loc.core.registration.equations import build_equations
 from tactile_loc.core.registration.observations import Observed
@@ -34,7 +33,6 @@ FARTHEST_RAD, FARTHEST_MM = 0.2, 3.0  # largest rotation and translation of a st
 DAMPING = 1e-4
 DAMPING_WITH_PRIOR = 1e-8  # more damping would only slow down the weak factor of a prior
 LEVER_MM = 10.0  # a rotation counts as the motion of a point at this distance from its axis
-Floats = NDArray[np.float64]
 NO_FACTORS = PriorFactors(np.empty((0, 4, 4)), np.empty((0, 6, 6)))
 
 

@@ -6,13 +6,13 @@ import math
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Floats
 from tactile_loc.core.runtime.compiled import njit
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 
-Points = NDArray[np.float64]
+Points = Floats
 OUTLINE_PX = 1.5  # standard deviation, pixels, of the smoothing before an outline's direction is measured
 OUTLINE_REACH_PX = 4  # pixels beyond which the smoothing ends
 SIDES = ((0, 1), (0, -1), (1, 0), (-1, 0))  # row and column steps to a pixel's neighbours
@@ -84,7 +84,7 @@ def _list_outline_weights() -> tuple[Points, Points]:
     return smooth, steps * (1 / OUTLINE_PX**2) * smooth
 
 
-def _shift(mask: NDArray[np.bool_], rows: int, columns: int) -> NDArray[np.bool_]:
+def _shift(mask: Bools, rows: int, columns: int) -> Bools:
     """Return each pixel's neighbour in the mask (H, W), `rows` down and `columns` right; False beyond the image."""
     padded = np.pad(mask, 1)
     return padded[1 + rows : padded.shape[0] - 1 + rows, 1 + columns : padded.shape[1] - 1 + columns]

@@ -17,9 +17,8 @@ are therefore sampled every STEP_M. For a gel of radius r, the error is at most 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Bools, Floats, Ints, Poses
 from tactile_loc.core.objects.blocks import make_triangle_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
@@ -33,9 +32,7 @@ ROUNDS = 4  # iterations that convert a relief along a pinhole's rays to heights
 BINS = 256  # number of bins into which blocks of triangles are sorted by height
 
 
-def bring_to_contact(
-    mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry
-) -> tuple[Poses, NDArray[np.bool_]]:
+def bring_to_contact(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> tuple[Poses, Bools]:
     """Return poses (N, 4, 4), metres, moved along z until the object touches the gel, and which of them touch (N,).
 
     A pose without any surface over the sensing rectangle keeps its z and is marked False. Over a curved gel, heights
@@ -54,7 +51,7 @@ def bring_to_contact(
 
 def find_lowest_points(
     mesh: TriangleMesh, T_sensor_object: Poses, rectangle_m: tuple[float, float, float, float]
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the z (N,), metres, of each pose's lowest point over a rectangle (x0, x1, y0, y1); inf if it has none."""
     R, t = T_sensor_object[:, :3, :3], T_sensor_object[:, :3, 3]
     groups = group_rotations(R)
@@ -65,9 +62,7 @@ def find_lowest_points(
     return result
 
 
-def find_lowest_over_relief(
-    mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry
-) -> NDArray[np.float64]:
+def find_lowest_over_relief(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Floats:
     """Return each pose's least z - relief (N,), metres, over the sensing rectangle; inf without surface there."""
     T = np.ascontiguousarray(T_sensor_object, float)
     result = np.full(len(T), np.inf)
@@ -76,7 +71,7 @@ def find_lowest_over_relief(
     return result
 
 
-def make_upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def make_upright_relief(geometry: SensorGeometry) -> tuple[Floats, Floats]:
     """Return a curved gel's relief (H, W), metres, above a lattice of points in the plane z = surface; and the lattice.
 
     The lattice (4,), metres, is given by the x and y of its first point and by its steps along x and y. Parallel rays
@@ -96,7 +91,7 @@ def make_upright_relief(geometry: SensorGeometry) -> tuple[NDArray[np.float64], 
     return np.ascontiguousarray(relief), lattice
 
 
-def group_rotations(R: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+def group_rotations(R: Floats) -> tuple[Floats, Ints, Ints]:
     """Group rotations (N, 3, 3), unitless, that are exactly equal.
 
     Returns the distinct rotations (K, 3, 3), `starts` (K + 1,) and `members` (N,). The poses with rotation k have the

@@ -7,6 +7,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats
 from tactile_loc.core.runtime.errors import TouchError, advise_choice
 from tactile_loc.core.sensing.gel import Gel
 
@@ -32,7 +33,7 @@ def require_kind(kind: str, name: str, kinds: Sequence[str] = KINDS) -> None:
         raise TouchError(f"there is no kind {kind!r}, which {name} should have; {advise_choice(kind, kinds)}")
 
 
-def find_indentation(values: NDArray[Any], kind: DepthKind, gel: Gel) -> NDArray[np.float64]:
+def find_indentation(values: NDArray[Any], kind: DepthKind, gel: Gel) -> Floats:
     """Return how far a gel is pressed in, metres (H, W), and 0 where it is not.
 
     `values` (H, W), metres, are indentations, or heights, which are negative where the gel is pressed in. No gel is
@@ -63,9 +64,7 @@ def require_in_range(press_depth_m: float, max_depth_m: float, name: str) -> Non
         )
 
 
-def refuse_opposite(
-    depth_m: NDArray[np.float32], press_depth_m: float | None, name: str, kind: DepthKind, option: str
-) -> None:
+def refuse_opposite(depth_m: Float32, press_depth_m: float | None, name: str, kind: DepthKind, option: str) -> None:
     """Raise TouchError if contact depths (H, W), metres, have the opposite meaning; log a warning if they may have it.
 
     In a map with the opposite meaning, the untouched gel has the deepest level, which covers much of the image and most
@@ -93,12 +92,12 @@ def refuse_opposite(
     )
 
 
-def reaches(depth_m: NDArray[np.float32], limit_m: float) -> NDArray[np.bool_]:
+def reaches(depth_m: Float32, limit_m: float) -> Bools:
     """Return which depths reach a limit, with a tolerance for rounding in unit conversions."""
     return depth_m >= np.float32(limit_m) * (1 - 1e-6)
 
 
-def find_deepest_step(depth_m: NDArray[np.float32], max_depth_m: float) -> float:
+def find_deepest_step(depth_m: Float32, max_depth_m: float) -> float:
     """Return the press depth, metres, of contact depths (H, W): see `contact_shape_from_array`."""
     contact = depth_m[~reaches(depth_m, max_depth_m)]
     deepest = float(contact.max(initial=0.0))
@@ -128,7 +127,7 @@ def assume_press(
     return press_depth_m, press_std_m or KNOWN_STD * press_depth_m
 
 
-def find_contact(mask: NDArray[Any], name: str) -> NDArray[np.bool_]:
+def find_contact(mask: NDArray[Any], name: str) -> Bools:
     """Return which pixels (H, W) of a mask are in contact.
 
     The mask is bool, or has two values: 0, and 1 or FULL. Raises TouchError for any other array.

@@ -19,10 +19,8 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Float32, Floats
 from tactile_loc.core.runtime.errors import SensorError
-
-Float32 = NDArray[np.float32]
-Floats = NDArray[np.float64]
 
 GelKind = Literal["rigid", "layer"]
 GEL_KINDS: tuple[GelKind, ...] = get_args(GelKind)

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Float32
 from tactile_loc.core.sensing.gel import (
     ITERATIONS,
     Contact,
-    Float32,
     Gel,
     GelSolver,
     compute_smoothing,
@@ -61,7 +61,7 @@ def deform_gel(
     return np.where(geometry.on_rectangle, np.clip(press - moved, 0, press), press)
 
 
-def find_touching(depth_m: Float32, indentation_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:
+def find_touching(depth_m: Float32, indentation_m: float, geometry: SensorGeometry) -> Bools:
     """Mark the pixels (H, W) at which an elastic gel touches the object, given contact depths (H, W), metres.
 
     The gel surface itself is pressed into the gel as a rigid object. The pressure of a contact is unique, so there is
@@ -76,7 +76,7 @@ def find_touching(depth_m: Float32, indentation_m: float, geometry: SensorGeomet
     return np.asarray(window.enlarge((pressure > 0).astype(np.float32))[0] > 0.5) & pressed
 
 
-def mark_touching(depth_m: Float32, shown_m: Float32, indentation_m: float) -> NDArray[np.bool_]:
+def mark_touching(depth_m: Float32, shown_m: Float32, indentation_m: float) -> Bools:
     """Mark the pixels (N, H, W) at which an elastic gel touches objects, whose shape is known.
 
     `depth_m` (N, H, W), metres, are the contact depths in a rigid gel, and `shown_m` those that the elastic gel shows
@@ -95,7 +95,7 @@ class Window:
     step: int
 
     @classmethod
-    def around(cls, pressed: NDArray[np.bool_], geometry: SensorGeometry, margin_m: float) -> Window:
+    def around(cls, pressed: Bools, geometry: SensorGeometry, margin_m: float) -> Window:
         """Return the window around pixels (H, W), with a margin in metres."""
         step = max(1, round(PITCH_M / geometry.pixel_pitch_m))
         spans = []
@@ -158,7 +158,7 @@ LEAST = 0.5  # pressure at the contact's border, as a share of the contact's med
 RIDGE = 0.01  # weight of the squared pressure, as a share of the steepest response; it damps ringing at edges
 SMOOTHING_PX = 1.0  # standard deviation of the smoothing of the pressure before the contact's border is sought
 
-Mask = NDArray[np.bool_]
+Mask = Bools
 
 
 def recover_contact(slopes: Float32, candidates: Mask, geometry: SensorGeometry) -> Contact:

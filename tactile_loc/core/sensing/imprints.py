@@ -11,14 +11,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,assignment"
 
-Float32 = NDArray[np.float32]
-Floats = NDArray[np.float64]
 
 # Each pixel in contact counts as its imprint plus this share of the press depth. With a smaller share, the depths would
 # decide between poses, although they are noisy. With a larger share, the depths would hardly matter.
@@ -40,7 +38,7 @@ class Explained(NamedTuple):
 
 
 def compare_imprints(
-    made_m: Float32, seen_m: Float32, press_depth_m: float, observed: NDArray[np.bool_], pixel_pitch_m: float
+    made_m: Float32, seen_m: Float32, press_depth_m: float, observed: Bools, pixel_pitch_m: float
 ) -> Explained:
     """Compare the contact depths (N, H, W), metres, of N poses with those of a touch (H, W), metres.
 
@@ -56,12 +54,7 @@ def compare_imprints(
 
 
 def _sum_up(
-    add: Callable[..., None],
-    count: int,
-    made_m: Float32,
-    seen_m: Float32,
-    press_depth_m: float,
-    observed: NDArray[np.bool_],
+    add: Callable[..., None], count: int, made_m: Float32, seen_m: Float32, press_depth_m: float, observed: Bools
 ) -> Floats:
     """Return the `count` sums (count, N) that a kernel, `add`, makes of the contact depths of N poses and a touch."""
     made_m, seen_m = np.ascontiguousarray(made_m, np.float32), np.ascontiguousarray(seen_m, np.float32)
@@ -130,7 +123,7 @@ class Residuals(NamedTuple):
 
 
 def measure_residuals(
-    made_m: Float32, seen_m: Float32, press_depth_m: float, observed: NDArray[np.bool_], pixel_pitch_m: float
+    made_m: Float32, seen_m: Float32, press_depth_m: float, observed: Bools, pixel_pitch_m: float
 ) -> Residuals:
     """Return what the contact depths (N, H, W), metres, of N poses leave unexplained of a touch's (H, W), metres."""
     sums = _sum_up(_add_residuals, 10, made_m, seen_m, press_depth_m, observed)

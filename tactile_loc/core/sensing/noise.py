@@ -17,12 +17,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, make_transform, vector_to_rotation
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Poses, make_transform, vector_to_rotation
 from tactile_loc.core.runtime.errors import ConfigError, advise_choice
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 FAINTEST = 0.2  # least value of the varying threshold, as a share of its mean
@@ -34,8 +32,8 @@ class Centres(NamedTuple):
     """P points in a batch of images: the number of each point's image, and the point's x and y, metres; each (P,)."""
 
     image: Index
-    x_m: Float64
-    y_m: Float64
+    x_m: Floats
+    y_m: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +46,8 @@ class GelPixels:
 
     rows: slice
     columns: slice
-    x_m: Float64
-    y_m: Float64
+    x_m: Floats
+    y_m: Floats
     pitch_m: tuple[float, float]
     rectangle_m: tuple[float, float, float, float]
 
@@ -86,7 +84,7 @@ class GelPixels:
         white = rng.standard_normal((count, y.shape[1], x.shape[1]), dtype=np.float32)
         return np.asarray(y @ (white @ x.T))
 
-    def mark_border(self, width_m: Float64, rng: np.random.Generator) -> NDArray[np.bool_]:
+    def mark_border(self, width_m: Floats, rng: np.random.Generator) -> Bools:
         """Return a mask (N, H, W) of strips with widths (N,), metres, each along one random side of the rectangle."""
         x0, x1, y0, y1 = self.rectangle_m
         side = rng.integers(4, size=len(width_m))
@@ -101,7 +99,7 @@ class GelPixels:
         image = np.repeat(np.arange(len(counts)), counts)
         return Centres(image, rng.uniform(x0, x1, len(image)), rng.uniform(y0, y1, len(image)))
 
-    def draw_pixels(self, marked: NDArray[np.bool_], counts: Index, rng: np.random.Generator) -> Centres:
+    def draw_pixels(self, marked: Bools, counts: Index, rng: np.random.Generator) -> Centres:
         """Draw `counts` (N,) of the `marked` (N, H, W) pixels of N images, with replacement.
 
         For an image without marked pixels, no pixel is drawn.
@@ -117,7 +115,7 @@ def stamp(
     depth: Float32,
     gel: GelPixels,
     centres: Centres,
-    radius_m: Float64,
+    radius_m: Floats,
     value_m: NDArray[np.floating[Any]],
     combine: Callable[..., Any],
 ) -> None:
@@ -153,7 +151,7 @@ def _make_blur_weights(count: int, sigma_px: float) -> Float32:
     return weights
 
 
-def _make_field_weights(pixels_m: Float64, low_m: float, high_m: float, patch_m: float) -> Float32:
+def _make_field_weights(pixels_m: Floats, low_m: float, high_m: float, patch_m: float) -> Float32:
     """Return weights (W, K) of the K lattice points at each pixel. Their squares sum to one, so the variance is 1."""
     margin = int(REACH)
     lattice_m = low_m + patch_m * np.arange(-margin, np.ceil((high_m - low_m) / patch_m) + margin + 1)
@@ -217,13 +215,11 @@ class TouchNoise:
         """True if the sensor's pose has an error."""
         return self.sensor_m > 0 or self.sensor_rad > 0
 
-    def draw_press(self, count: int, max_depth_m: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    def draw_press(self, count: int, max_depth_m: float, rng: np.random.Generator) -> Floats:
         """Draw press depths (count,), metres."""
         return rng.uniform(*self.press_share, count) * max_depth_m
 
-    def measure_press(
-        self, press_depth_m: NDArray[np.float64], max_depth_m: float, rng: np.random.Generator
-    ) -> NDArray[np.float64]:
+    def measure_press(self, press_depth_m: Floats, max_depth_m: float, rng: np.random.Generator) -> Floats:
         """Return measured press depths (N,) for true press depths (N,), metres, with `press_error`."""
         factor = 1.0 + self.press_error * rng.normal(size=len(press_depth_m))
         return np.minimum(press_depth_m * np.maximum(factor, SHALLOWEST), max_depth_m)
@@ -245,7 +241,7 @@ class TouchNoise:
         return make_transform(R @ T_sensor_object[:, :3, :3], (R @ lever)[..., 0] + centre + shift)
 
     def corrupt(
-        self, depth_m: Float32, press_depth_m: NDArray[np.float64], geometry: SensorGeometry, rng: np.random.Generator
+        self, depth_m: Float32, press_depth_m: Floats, geometry: SensorGeometry, rng: np.random.Generator
     ) -> Float32:
         """Return noisy contact depths (N, H, W), float32, metres, for clean contact depths at the maximal depth.
 
@@ -272,7 +268,7 @@ class TouchNoise:
             np.copyto(depth, press, where=gel.mark_border(self.border_m * rng.random(len(depth)), rng))
         return noisy
 
-    def cut(self, depth_m: Float32, press_depth_m: NDArray[np.float64], measured_m: NDArray[np.float64]) -> Float32:
+    def cut(self, depth_m: Float32, press_depth_m: Floats, measured_m: Floats) -> Float32:
         """Return the contact depths (N, H, W) that a sensor reports if it measures the press depths as `measured_m`.
 
         All values are in metres. `depth_m` (N, H, W) are noisy contact depths at the true press depths (N,). If a press

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Float32, Poses, invert
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
@@ -53,7 +52,7 @@ class Scene:
         """Return the scene with the drawing "pressed": the pressed object, as real sensors see it."""
         return dataclasses.replace(self, drawing="pressed")
 
-    def bring_to_contact(self, T_sensor_object: Poses) -> tuple[Poses, NDArray[np.bool_]]:
+    def bring_to_contact(self, T_sensor_object: Poses) -> tuple[Poses, Bools]:
         """Move poses (N, 4, 4), metres, along z to contact. Also return which (N,) touch the sensing rectangle."""
         return bring_to_contact(self.object.mesh, T_sensor_object, self.geometry)
 
@@ -76,7 +75,7 @@ class Scene:
 
     def render_contact_depths(
         self, T_sensor_object: Poses, press_depth_m: float | None = None, grid: bool = False
-    ) -> NDArray[np.float32]:
+    ) -> Float32:
         """Render contact depths (N, H, W), metres, of poses (N, 4, 4) that are already in contact.
 
         They are those in a rigid gel; `render_gel_depths` returns those that an elastic gel shows. They are cut at
@@ -88,7 +87,7 @@ class Scene:
         depth = render(self.object.mesh, T, camera.band)
         return compute_contact_depth(depth, camera, camera.max_depth_m if press_depth_m is None else press_depth_m)
 
-    def render_gel_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> NDArray[np.float32]:
+    def render_gel_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> Float32:
         """Render the contact depths (N, H, W), metres, that the gel shows of pressed poses (N, 4, 4).
 
         They are cut at `press_depth_m` metres, by default at the maximal depth.
@@ -102,7 +101,7 @@ class Scene:
         shown = deform_gel(whole.render_contact_depths(T_sensor_object), pressed_m, geometry)
         return np.where(shown < np.float32(min(pressed_m, cut_m)), shown, np.float32(cut_m))
 
-    def render_what_touch_shows(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float32]:
+    def render_what_touch_shows(self, T_sensor_object: Poses, touch: Touch) -> Float32:
         """Render the contact depths (N, H, W), metres, that poses (N, 4, 4) would show instead of a touch.
 
         Poses move along z towards contact, by at most the error of the measured press.
@@ -112,7 +111,7 @@ class Scene:
         T = self.bring_near_contact(T_sensor_object, _estimate_press_error_m(touch))
         return self.render_gel_depths(T, touch.press_depth_m)
 
-    def contact_shape(self, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> ContactShape:
+    def contact_shape(self, T_sensor_object: Floats, press_depth_m: float) -> ContactShape:
         """Render the contact shape of one pose (4, 4), brought to contact, cut at `press_depth_m` metres.
 
         The shape's indentation is that of the scene, or the press depth if the scene's sensor is not pressed.
@@ -123,7 +122,7 @@ class Scene:
             pressed.render_gel_depths(T, press_depth_m)[0], press_depth_m, pressed.geometry.indentation_m
         )
 
-    def show_like(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> ContactShape:
+    def show_like(self, T_sensor_object: Floats, touch: Touch) -> ContactShape:
         """Render the contact shape of one pose (4, 4), metres, as beside a touch: at its own press for a mask.
 
         The shape has the pixels of the scene, which may be fewer than those of the touch.
@@ -134,7 +133,7 @@ class Scene:
         shown = pressed.render_what_touch_shows(T_sensor_object[None], touch)[0]
         return ContactShape(shown, touch.press_depth_m)
 
-    def contact_iou(self, T_sensor_object: NDArray[np.float64], touch: Touch) -> float:
+    def contact_iou(self, T_sensor_object: Floats, touch: Touch) -> float:
         """Return the contact IoU of one pose (4, 4), metres, with a touch: 0 to 1, unitless.
 
         The contact IoU is the intersection over union of the touch's contact and the pose's contact, over the observed
@@ -143,7 +142,7 @@ class Scene:
         """
         return float(self.compare_imprints(T_sensor_object[None], touch).contact_ious[0])
 
-    def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> NDArray[np.float64]:
+    def imprint_ious(self, T_sensor_object: Poses, touch: Touch) -> Floats:
         """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, with a touch: 0 to 1, unitless.
 
         At each pixel, the imprint is the press depth minus the contact depth. Where there is contact, OUTLINE_SHARE of
@@ -167,7 +166,7 @@ class Scene:
 
     def _draw_beside(
         self, T_sensor_object: Poses, touch: Touch, pixels: int, freedom_m: float = 0.0
-    ) -> tuple[Float32, Float32, float, NDArray[np.bool_], float]:
+    ) -> tuple[Float32, Float32, float, Bools, float]:
         """Draw poses (N, 4, 4), metres, beside a touch: the arguments of `compare_imprints`."""
         geometry, wanted = touch.thin(pixels)
         scene, press_m = dataclasses.replace(self, geometry=geometry), wanted.press_depth_m
@@ -183,7 +182,7 @@ class Scene:
             made = np.where(wanted.contact | pierced, made, np.float32(press_m))
         return made, wanted.depth_m, press_m, geometry.observed_mask, geometry.pixel_pitch_m
 
-    def _render_at_own_press(self, T_sensor_object: Poses, mask: ContactShape, most_m: float) -> NDArray[np.float32]:
+    def _render_at_own_press(self, T_sensor_object: Poses, mask: ContactShape, most_m: float) -> Float32:
         """Render the contact depths (N, H, W), metres, of poses (N, 4, 4) at their own press, not that of a mask.
 
         Poses move along z, by at most `most_m` metres, only if their press is too far from that of the mask.
@@ -211,7 +210,7 @@ class View:
 
     touch: Touch
     scene: Scene
-    T_sensor_first: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    T_sensor_first: Floats = field(default_factory=lambda: np.eye(4))
     sensor_std_m: float = 0.0
     sensor_std_rad: float = 0.0
 
@@ -222,7 +221,7 @@ class View:
         """
         return self.scene.compare_imprints(self.T_sensor_first @ T_first_object, self.touch, pixels, freedom_m)
 
-    def imprint_ious(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> NDArray[np.float64]:
+    def imprint_ious(self, T_first_object: Poses, pixels: int = IOU_PX, freedom_m: float = 0.0) -> Floats:
         """Return the imprint IoUs (N,) of poses (N, 4, 4), metres, in the first sensor's frame, with this touch."""
         return self.compare_imprints(T_first_object, pixels, freedom_m).imprint_ious
 
@@ -233,7 +232,7 @@ def view_touch(first: Touch, touch: Touch, scene: Scene) -> View:
     return View(touch, scene, T, touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
 
 
-def relate_sensors(first: Touch, touch: Touch) -> NDArray[np.float64]:
+def relate_sensors(first: Touch, touch: Touch) -> Floats:
     """Return T_sensor_first (4, 4), metres, from the first touch's sensor frame to that of another touch."""
     if touch is first:
         return np.eye(4)

@@ -17,10 +17,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats
 from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.core.sensing.gel import RIGID, SOLVER_VERSION, Gel
 
-Depth = NDArray[np.float32]
+Depth = Float32
 
 LARGEST_PX = 8192
 FEWEST_PX_M, MOST_PX_M = 1e-1, 1e7  # limits of plausible pixels per metre
@@ -56,7 +57,7 @@ class SensorGeometry:
     standoff_m: float
     max_depth_m: float
     rectangle_m: tuple[float, float, float, float] | None = None
-    observed: NDArray[np.bool_] | None = field(default=None, repr=False)
+    observed: Bools | None = field(default=None, repr=False)
     indentation_m: float = 0.0
     relief_m: Depth | None = field(default=None, repr=False)
     gel: Gel = RIGID
@@ -163,20 +164,20 @@ class SensorGeometry:
         return self.view if self.rectangle_m is None else self.rectangle_m
 
     @cached_property
-    def gel_middle_m(self) -> NDArray[np.float64]:
+    def gel_middle_m(self) -> Floats:
         """The middle (3,) of the sensing rectangle on the undeformed surface, metres, in the sensor frame."""
         x0, x1, y0, y1 = self.rectangle
         return np.array([(x0 + x1) / 2, (y0 + y1) / 2, self.surface_m])
 
     @cached_property
-    def pixel_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def pixel_slopes(self) -> tuple[Floats, Floats]:
         """The x/z of each column's rays (W,) and the y/z of each row's rays (H,); x and y, metres, if orthographic."""
         u = np.arange(self.width_px, dtype=np.float64) + 0.5
         v = np.arange(self.height_px, dtype=np.float64) + 0.5
         return (u - self.cx) / self.fx, (v - self.cy) / self.fy
 
     @cached_property
-    def on_rectangle(self) -> NDArray[np.bool_]:
+    def on_rectangle(self) -> Bools:
         """Pixels (H, W) on the sensing rectangle."""
         k = self.surface_m if self.is_pinhole else 1.0
         x, y = (s * k for s in self.pixel_slopes)
@@ -184,11 +185,11 @@ class SensorGeometry:
         return ((y >= y0) & (y <= y1))[:, None] & ((x >= x0) & (x <= x1))[None, :]
 
     @cached_property
-    def observed_mask(self) -> NDArray[np.bool_]:
+    def observed_mask(self) -> Bools:
         """Pixels (H, W) with information: on the sensing rectangle and not masked."""
         return self.on_rectangle if self.observed is None else self.on_rectangle & self.observed
 
-    def backproject(self, depth_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def backproject(self, depth_m: NDArray[np.floating[Any]]) -> Floats:
         """Convert depths z (..., H, W), metres, to points (..., H, W, 3) in the sensor frame, metres."""
         x, y = np.meshgrid(*self.pixel_slopes)
         z = np.asarray(depth_m, float)
@@ -310,9 +311,7 @@ def _pack_bytes(array: NDArray[Any]) -> bytes:
 Drawing = Literal["pressed", "paper"]
 
 
-def find_drawing(
-    T_sensor_object: NDArray[np.float64], geometry: SensorGeometry, drawing: Drawing
-) -> tuple[NDArray[np.float64], SensorGeometry]:
+def find_drawing(T_sensor_object: Floats, geometry: SensorGeometry, drawing: Drawing) -> tuple[Floats, SensorGeometry]:
     """Return the poses (..., 4, 4), metres, and the sensor with which to render them for comparison with touches.
 
     The drawing "pressed" renders the object where it is pressed in, as the sensor sees it. "paper" renders the object

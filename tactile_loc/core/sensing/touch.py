@@ -10,7 +10,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_loc.core.geometry.rigid import require_rigid
+from tactile_loc.core.geometry.rigid import Bools, Floats, require_rigid
 from tactile_loc.core.runtime.errors import NoContactError, TouchError
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.core.sensing.depth_maps import (
@@ -57,11 +57,11 @@ class ContactShape:
     indentation_m: float | None = None
     indentation_std_m: float = 0.0
     depths_known: bool = True
-    touching: NDArray[np.bool_] | None = None
+    touching: Bools | None = None
     otherwise: tuple[tuple[Gel, ContactShape], ...] = ()
 
     @property
-    def contact(self) -> NDArray[np.bool_]:
+    def contact(self) -> Bools:
         """A mask (H, W), True at pixels in contact, whose depth is below the press depth."""
         return self.depth_m < np.float32(self.press_depth_m)
 
@@ -70,7 +70,7 @@ class ContactShape:
         touching = None if self.touching is None else self.touching[::step, ::step]
         return dataclasses.replace(self, depth_m=self.depth_m[::step, ::step], touching=touching, otherwise=())
 
-    def contact_iou(self, other: ContactShape, observed: NDArray[np.bool_]) -> float:
+    def contact_iou(self, other: ContactShape, observed: Bools) -> float:
         """Return the intersection over union, 0 to 1, of both shapes' contacts over the observed pixels (H, W)."""
         ours, theirs = self.contact & observed, other.contact & observed
         return float((ours & theirs).sum() / max(1, (ours | theirs).sum()))
@@ -136,8 +136,8 @@ class Touch:
     contact_shape: ContactShape
     geometry: SensorGeometry
     name: str = "touch"
-    T_base_sensor: NDArray[np.float64] | None = None
-    T_sensor_object: NDArray[np.float64] | None = None
+    T_base_sensor: Floats | None = None
+    T_sensor_object: Floats | None = None
     T_base_sensor_std_m: float = 2e-4
     T_base_sensor_std_rad: float = 3.5e-3
     image: NDArray[np.uint8] | None = field(default=None, repr=False)
@@ -287,7 +287,7 @@ class Touch:
         """Return the sensor and the touching shape with fewer pixels: about `pixels` on the longer side."""
         return _thin(self, self._find_step(pixels))
 
-    def find_known(self, cut_m: float) -> NDArray[np.bool_]:
+    def find_known(self, cut_m: float) -> Bools:
         """Return the observed pixels (H, W) that show whether the object is nearer than `cut_m` metres.
 
         Around the contact, an elastic gel may be pressed in deeper than `cut_m` without the object being there.

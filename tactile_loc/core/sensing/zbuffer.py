@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Float32, Floats, Poses
 from tactile_loc.core.objects.blocks import make_blocks, make_triangle_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
@@ -28,7 +28,7 @@ NARROW = 4  # pixels; in narrower bounding boxes, every pixel is tested
 NEAREST = 0.05  # share of the standoff; a triangle with a corner nearer to the camera is tested at every pixel
 
 
-def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> NDArray[np.float32]:
+def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: SensorGeometry) -> Float32:
     """Return camera depths (N, H, W), metres, of the object at poses (N, 4, 4), in contact or not.
 
     A depth is exact up to the end of the contact band, and inf beyond.
@@ -43,8 +43,8 @@ def draw_nearest_depths(mesh: TriangleMesh, T_sensor_object: Poses, geometry: Se
 
 
 def draw_nearest_faces(
-    triangles: NDArray[np.float64], T_camera_object: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    triangles: Floats, T_camera_object: Floats, x: Floats, y: Floats
+) -> tuple[Float32, NDArray[np.int32]]:
     """Return the depths and the faces at which parallel rays along z first meet triangles (F, 3, 3) at a pose (4, 4).
 
     The rays pass through evenly spaced x (W,) and y (H,). The depths (H, W) are in the unit of the triangles; a ray

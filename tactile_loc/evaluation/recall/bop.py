@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Floats, Poses
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.store.files import write_json, write_text
 
@@ -32,7 +31,7 @@ class Answer(NamedTuple):
     """The listed poses (K, 4, 4), metres, of one example, with their scores (K,); no poses if nothing was found."""
 
     poses: Poses | Sequence[Any]
-    scores: NDArray[np.float64] | Sequence[float]
+    scores: Floats | Sequence[float]
     seconds: float
 
 
@@ -97,7 +96,7 @@ def format_results(scenes: Sequence[BopScene], method: str, touches: int) -> str
     return text.getvalue()
 
 
-def _convert_pose(T: NDArray[np.float64]) -> tuple[list[float], list[float]]:
+def _convert_pose(T: Floats) -> tuple[list[float], list[float]]:
     """Return the rotation (9,), row by row, and the translation (3,), mm, of a pose (4, 4), metres."""
     return T[:3, :3].ravel().tolist(), (1e3 * T[:3, 3]).tolist()
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.geometry.rigid import Floats, Poses, invert
 from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.core.runtime.errors import GridError, TouchError
 from tactile_loc.evaluation.fusion import sort_numbers
@@ -44,8 +44,8 @@ class Located(NamedTuple):
     """
 
     T_sensor_object: Poses
-    probabilities: NDArray[np.float64]
-    errors_m: NDArray[np.float64]
+    probabilities: Floats
+    errors_m: Floats
     verdict: str
     problem: str
     determined: bool
@@ -183,10 +183,7 @@ class _ExampleLocator:
 
 
 def is_determined(
-    observations: Sequence[Observation],
-    hypotheses: Sequence[Hypothesis],
-    errors_m: NDArray[np.float64],
-    right_m: float = RIGHT_M,
+    observations: Sequence[Observation], hypotheses: Sequence[Hypothesis], errors_m: Floats, right_m: float = RIGHT_M
 ) -> bool:
     """Return whether no listed wrong pose explains the touches as well as the true poses do.
 

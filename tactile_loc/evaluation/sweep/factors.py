@@ -11,11 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.evaluation.sweep.uncertainty import LEAST_TOUCHES, RESAMPLED, SEED, Estimate, find_interval
-
-Float64 = NDArray[np.float64]
 
 LEAST_MM = 1e-3  # smaller errors count as this; their logarithms would rule the variance
 ROUNDING = 1e-6  # smaller shares come from rounding
@@ -42,7 +40,7 @@ class Decomposition:
         return self.shares[term].low > ROUNDING
 
 
-def decompose(errors_mm: Sequence[Float64], slots: Sequence[str], block: str) -> Decomposition:
+def decompose(errors_mm: Sequence[Floats], slots: Sequence[str], block: str) -> Decomposition:
     """Decompose the variance between combinations of `slots`; see the module.
 
     `errors_mm` has the errors (K1, ..., Kn, T) of each block, by the choices of each slot and the touches. `block`
@@ -68,7 +66,7 @@ def decompose(errors_mm: Sequence[Float64], slots: Sequence[str], block: str) ->
     )
 
 
-def _average_logs(errors_mm: Float64) -> Float64:
+def _average_logs(errors_mm: Floats) -> Floats:
     """Return mean logarithms (1 + R, K1, ..., Kn) of errors (K1, ..., Kn, T): of all touches, then of each sample."""
     count = errors_mm.shape[-1]
     logs, rng = np.log(np.maximum(errors_mm, LEAST_MM)), np.random.default_rng(SEED)
@@ -76,15 +74,15 @@ def _average_logs(errors_mm: Float64) -> Float64:
     return np.stack([logs.mean(axis=-1), *(logs @ weights / count for weights in drawn)])
 
 
-def _find_margin(m: Float64, kept: Sequence[int]) -> Float64:
+def _find_margin(m: Floats, kept: Sequence[int]) -> Floats:
     """Return the mean of m (1 + R, ...) over all axes but the first and those that are kept."""
     return np.asarray(m.mean(axis=tuple(axis for axis in range(1, m.ndim) if axis not in kept), keepdims=True))
 
 
-def _find_mean_squares(m: Float64, names: Sequence[str]) -> dict[str, Float64]:
+def _find_mean_squares(m: Floats, names: Sequence[str]) -> dict[str, Floats]:
     """Return the mean squares (1 + R,) of each term of m (1 + R, B, K1, ..., Kn), and of REST; `names` are of axes."""
     axes = [axis for axis in range(1, m.ndim) if m.shape[axis] > 1]
-    effects: dict[tuple[int, ...], Float64] = {(axis,): _find_margin(m, (axis,)) for axis in axes}
+    effects: dict[tuple[int, ...], Floats] = {(axis,): _find_margin(m, (axis,)) for axis in axes}
     for pair in itertools.combinations(axes, 2):
         effects[pair] = _find_margin(m, pair) - sum(effects[axis,] for axis in pair)
     over = tuple(range(1, m.ndim))
@@ -97,7 +95,7 @@ def _find_mean_squares(m: Float64, names: Sequence[str]) -> dict[str, Float64]:
     return {**squares, REST: np.maximum(rest, 0)}
 
 
-def _estimate(values: Float64, touches: int) -> Estimate:
+def _estimate(values: Floats, touches: int) -> Estimate:
     """Return the first of values (1 + R,) with the interval of the others."""
     return Estimate(float(values[0]), *find_interval(values[1:], touches))
 

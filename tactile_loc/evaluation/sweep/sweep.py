@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.evaluation.jobs import JobOutcome, QueuedJob, Workers, resume_jobs
 from tactile_loc.evaluation.sweep.combination import (
@@ -32,8 +32,6 @@ from tactile_loc.evaluation.sweep.uncertainty import ComparedMedian
 from tactile_loc.evaluation.text_tables import Row, require_parquet
 from tactile_loc.slots.registry import SLOTS
 from tactile_loc.store.files import require_writable
-
-Float64 = NDArray[np.float64]
 
 FAILED, BASE, UNPAIRED = "failed", "base", "other touches"  # why a combination is not compared with the base
 VERDICTS = (("better", "worse"), ("faster", "slower"))  # of a smaller, and a larger error; and time
@@ -121,7 +119,7 @@ class Sweep:
             found[name, noise, choices] = ChoiceMedian(name, noise, choices, label, error, time)
         return list(found.values())
 
-    def list_touches(self, one: Combination, column: str) -> Float64:
+    def list_touches(self, one: Combination, column: str) -> Floats:
         """Return a value for each touch (T,) of a combination; NaN if it failed."""
         measured = self.outcomes[one.key].measured or {}
         return np.array(measured.get(TOUCHES, {}).get(column, [math.nan] * one.count), dtype=np.float64)
@@ -130,7 +128,7 @@ class Sweep:
         """Return how much each slot that varies explains; None if a combination failed for each object and noise."""
         places = [1 + SLOTS.index(slot) for slot in find_varying_slots(self.plan)]
         shape = [len(self.plan.slots[slot]) for slot in find_varying_slots(self.plan)]
-        blocks: dict[Any, Float64] = {}
+        blocks: dict[Any, Floats] = {}
         for one in self.combinations:
             block, seeds = (one.object, one.config.touch.noise), len(self.plan.seeds)
             errors_mm = blocks.setdefault(block, np.full((*shape, seeds, one.count), math.nan))

@@ -9,9 +9,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from tactile_loc.core.geometry.rigid import Floats, Ints
 
 RESAMPLED, SEED = 1000, 0
 RANGE = (2.5, 97.5)  # percentiles of an interval
@@ -29,21 +28,21 @@ class Estimate(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def draw_median_ranks(count: int) -> NDArray[np.int64]:
+def draw_median_ranks(count: int) -> Ints:
     """Return the ranks (R, 2), from 0, of the two middle values of each of RESAMPLED samples of `count` values."""
     rng = np.random.default_rng(SEED)
     middle = [(count - 1) // 2, count // 2]
     return np.stack([np.partition(rng.integers(count, size=count), middle)[middle] for _ in range(RESAMPLED)])
 
 
-def resample_medians(values: Float64) -> Float64:
+def resample_medians(values: Floats) -> Floats:
     """Return the medians (M, R) of each of M series of values (M, T), for samples of the touches of each series."""
     ranks, ordered = draw_median_ranks(values.shape[1]), np.sort(values, axis=1)
     # the samples of different series are independent, because their order differs
     return np.stack([some[np.roll(ranks, k, axis=0)].mean(axis=1) for k, some in enumerate(ordered)])
 
 
-def find_interval(samples: Float64, touches: int) -> tuple[float, float]:
+def find_interval(samples: Floats, touches: int) -> tuple[float, float]:
     """Return the 95 % interval of samples (R,); NaN with fewer than LEAST_TOUCHES touches."""
     if touches < LEAST_TOUCHES:
         return math.nan, math.nan
@@ -51,13 +50,13 @@ def find_interval(samples: Float64, touches: int) -> tuple[float, float]:
     return float(np.percentile(samples, low, method="lower")), float(np.percentile(samples, high, method="higher"))
 
 
-def estimate_median(values: Float64) -> Estimate:
+def estimate_median(values: Floats) -> Estimate:
     """Return the mean over series, such as seeds, of the medians over touches of values (M, T)."""
     value = float(np.median(values, axis=1).mean())
     return Estimate(value, *find_interval(resample_medians(values).mean(axis=0), values.size))
 
 
-def estimate_geometric_mean(objects: Sequence[Float64]) -> Estimate:
+def estimate_geometric_mean(objects: Sequence[Floats]) -> Estimate:
     """Return the geometric mean over objects of the mean over series of the medians of values (M, T) of each object."""
     samples = resample_medians(np.concatenate(objects)).reshape(len(objects), -1, RESAMPLED)
     medians = np.median(objects, axis=2)[..., None]
@@ -73,13 +72,13 @@ class ComparedMedian:
     is NaN without a base. `verdict` says whether its interval excludes zero.
     """
 
-    values: Float64
+    values: Floats
     median: Estimate
     difference: Estimate
     verdict: str
 
     @classmethod
-    def of(cls, values: Float64, base: Float64 | None, less: str, more: str, without: str = "") -> ComparedMedian:
+    def of(cls, values: Floats, base: Floats | None, less: str, more: str, without: str = "") -> ComparedMedian:
         """Compare values (M, T) with those of a base; the verdict is `without` if there is none.
 
         The verdict is `less` or `more` if the interval of the difference excludes zero, CHANCE if it includes zero, FEW

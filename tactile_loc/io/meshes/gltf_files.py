@@ -12,7 +12,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import quaternion_to_rotation
+from tactile_loc.core.geometry.rigid import Floats, Ints, quaternion_to_rotation
 from tactile_loc.core.runtime.errors import ObjectError
 from tactile_loc.core.runtime.limits import MOST_BYTES, require_size
 from tactile_loc.io.meshes.polygons import EXPORT_AGAIN, Polygons
@@ -32,8 +32,8 @@ def read_gltf(path: Path) -> Polygons:
     Raises ObjectError if the file needs an extension that cannot be decoded, or a file that is missing.
     """
     file = _File(path)
-    vertices: list[NDArray[np.float64]] = [np.empty((0, 3))]
-    triangles: list[NDArray[np.int64]] = [np.empty((0, 3), np.int64)]
+    vertices: list[Floats] = [np.empty((0, 3))]
+    triangles: list[Ints] = [np.empty((0, 3), np.int64)]
     held = 0
     for mesh, T in file.list_instances():
         for primitive in file.tree["meshes"][mesh]["primitives"]:
@@ -73,7 +73,7 @@ class _File:
         names = " and ".join(extensions)
         raise ObjectError(f"{self._path} needs {names}, which cannot be read; export it again without extensions")
 
-    def list_instances(self) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    def list_instances(self) -> Iterator[tuple[int, Floats]]:
         """Yield the number of each mesh of the scene, with its transform (4, 4) to the scene."""
         nodes = self.tree.get("nodes", [])
         if "scenes" in self.tree:
@@ -98,7 +98,7 @@ class _File:
                 self._refuse(INSTANCES)
             yield node["mesh"], T
 
-    def read_primitive(self, primitive: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def read_primitive(self, primitive: dict[str, Any]) -> tuple[Floats, Ints]:
         """Return the vertices (V, 3) and triangles (F, 3) of a primitive."""
         position, indices = primitive["attributes"].get("POSITION"), primitive.get("indices")
         for number in (position, indices):
@@ -174,7 +174,7 @@ def _list_chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
         start += 8 + length
 
 
-def _read_transform(node: dict[str, Any]) -> NDArray[np.float64]:
+def _read_transform(node: dict[str, Any]) -> Floats:
     """Return the transform (4, 4) from a node to its parent."""
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T

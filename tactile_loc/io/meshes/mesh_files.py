@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple, get_args
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats, Ints
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.runtime.errors import MissingLibraryError, ObjectError, TactileLocError, did_you_mean
@@ -45,8 +45,8 @@ class Surface(NamedTuple):
     Lengths are in the file's unit. `metres_per_unit` is this unit, if the file or its format states it.
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    vertices: Floats
+    faces: Ints
     is_watertight: bool
     metres_per_unit: float | None = None
 

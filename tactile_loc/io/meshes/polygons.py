@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from tactile_loc.core.geometry.rigid import Floats, Ints
 from tactile_loc.core.runtime.errors import ObjectError
 
 FLAT = 1e-10  # of a polygon's squared size: a corner with a smaller area is straight
@@ -22,9 +23,9 @@ class Polygons(NamedTuple):
     The vertex numbers of all faces follow each other in `corners` (C,).
     """
 
-    vertices: NDArray[np.float64]
-    corners: NDArray[np.int64]
-    counts: NDArray[np.int64]
+    vertices: Floats
+    corners: Ints
+    counts: Ints
 
     @classmethod
     def of_triangles(cls, vertices: ArrayLike, triangles: ArrayLike) -> Polygons:
@@ -46,7 +47,7 @@ class Polygons(NamedTuple):
                 f"{path} has {len(self.vertices)} vertices, but its faces use numbers {first} to {last}; {EXPORT_AGAIN}"
             )
 
-    def triangulate(self, path: Path) -> NDArray[np.int64]:
+    def triangulate(self, path: Path) -> Ints:
         """Return triangles (T, 3) that cover the faces, with the same vertices and orientation.
 
         Faces may be concave and slightly bent. Raises ObjectError if the outline of a face crosses itself.
@@ -77,7 +78,7 @@ class Polygons(NamedTuple):
         return np.concatenate(triangles)
 
 
-def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def weld(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
     """Merge equal vertices (V, 3) of triangles (F, 3). Drop triangles without area, and vertices without a triangle."""
     used, faces = _renumber(faces)
     rounded = (vertices[used] / MERGED).round()
@@ -89,13 +90,13 @@ def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArr
     return vertices[used[left]], faces
 
 
-def _renumber(faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _renumber(faces: Ints) -> tuple[Ints, Ints]:
     """Return the sorted numbers in triangles (F, 3), and the triangles with places in this list instead."""
     used, which = np.unique(faces, return_inverse=True)
     return used, which.reshape(-1, 3)
 
 
-def check_closed(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[bool, bool]:
+def check_closed(vertices: Floats, faces: Ints) -> tuple[bool, bool]:
     """Return whether triangles (F, 3) are a closed surface, and whether all of its triangles face inwards.
 
     A surface is closed if each edge belongs to two triangles.
@@ -109,7 +110,7 @@ def check_closed(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tup
     return True, bool(np.einsum("fi,fi->", a, np.cross(b, c)) < 0.0)
 
 
-def _flatten(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
+def _flatten(points: Floats, normal: Floats) -> Floats:
     """Project a polygon (N, 3) along its normal (3,) to (N, 2), counterclockwise, and scale it to a length of 1."""
     centred = points - points.mean(axis=0)
     centred /= max(float(np.abs(centred).max()), 1e-300)
@@ -120,7 +121,7 @@ def _flatten(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArra
     return np.stack([centred @ u, centred @ v], axis=1)
 
 
-def _clip_ears(points: NDArray[np.float64]) -> Iterator[tuple[int, int, int] | None]:
+def _clip_ears(points: Floats) -> Iterator[tuple[int, int, int] | None]:
     """Yield the triangles of a counterclockwise polygon (N, 2); None if there are none, because it crosses itself.
 
     An ear is a corner whose triangle has a positive area and no other corner inside. Triangles that have positive areas
@@ -145,9 +146,7 @@ def _clip_ears(points: NDArray[np.float64]) -> Iterator[tuple[int, int, int] | N
         left = np.delete(left, ear)
 
 
-def _is_entered(
-    points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]
-) -> bool:
+def _is_entered(points: Floats, a: Floats, b: Floats, c: Floats) -> bool:
     """Return whether one of points (N, 2) is in the triangle a, b, c or on its side from c to a, beside its corners."""
     inside = (_cross(b - a, points - a) > FLAT) & (_cross(c - b, points - b) > FLAT)
     inside &= _cross(a - c, points - c) >= -FLAT
@@ -156,5 +155,5 @@ def _is_entered(
     return bool(inside.any())
 
 
-def _cross(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cross(u: Floats, v: Floats) -> Floats:
     return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])

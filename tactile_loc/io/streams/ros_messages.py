@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.frame_tree import FrameTree
 from tactile_loc.core.geometry.rigid import (
+    Floats,
     make_transform,
     quaternion_to_rotation,
     require_unit,
@@ -112,7 +113,7 @@ def add_transforms(tree: FrameTree, message: Any, fixed: bool) -> None:
         tree.add(_name_frame(one.header.frame_id), _name_frame(one.child_frame_id), read_stamp_ns(one.header), T, fixed)
 
 
-def read_transform(t_m: NDArray[np.float64], q_xyzw: NDArray[np.float64], name: str = "it") -> NDArray[np.float64]:
+def read_transform(t_m: Floats, q_xyzw: Floats, name: str = "it") -> Floats:
     """Return the transform (4, 4) of a translation (3,), metres, and a quaternion (4,), scalar last, as in ROS.
 
     Raises FrameError, which names the frame `name`, for infinite numbers or a quaternion that is not a unit quaternion.
@@ -142,7 +143,7 @@ class RosPose:
     covariance: tuple[float, ...]
 
     @classmethod
-    def of(cls, T: NDArray[np.float64], covariance: NDArray[np.float64] | None) -> RosPose:
+    def of(cls, T: Floats, covariance: Floats | None) -> RosPose:
         """Convert a pose (4, 4), metres, and its covariance (6, 6), as in `RefinedPose`, or None.
 
         To first order, the errors of a rotation vector equal rotations about the three fixed axes. The covariance
@@ -152,7 +153,7 @@ class RosPose:
         return cls(tuple(T[:3, 3].tolist()), tuple(rotation_to_quaternion_xyzw(T[:3, :3]).tolist()), tuple(numbers))
 
     @property
-    def T(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
+    def T(self) -> Floats:  # noqa: N802 - the field's name
         """The pose (4, 4), metres."""
         return read_transform(np.array(self.position_m), np.array(self.quaternion_xyzw))
 
@@ -252,12 +253,12 @@ def make_text(text: str) -> Any:
     return _make(TEXT, data=str(text))
 
 
-def make_plain_pose(T: NDArray[np.float64], stamp_ns: int, frame: str) -> Any:
+def make_plain_pose(T: Floats, stamp_ns: int, frame: str) -> Any:
     """Return the geometry_msgs PoseStamped of a pose (4, 4), metres, in `frame`."""
     return _make(POSE_STAMPED, header=make_header(stamp_ns, frame), pose=_make_pose(RosPose.of(T, None)))
 
 
-def make_transforms(transforms: dict[tuple[str, str], NDArray[np.float64]], stamp_ns: int) -> Any:
+def make_transforms(transforms: dict[tuple[str, str], Floats], stamp_ns: int) -> Any:
     """Return the tf2_msgs TFMessage of transforms T_parent_child (4, 4), metres, with keys (parent, child)."""
     listed = []
     for (parent, child), T in transforms.items():

@@ -7,15 +7,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.frame_tree import Edge
-from tactile_loc.core.geometry.rigid import make_transform, quaternion_to_rotation, require_unit
+from tactile_loc.core.geometry.rigid import Floats, make_transform, quaternion_to_rotation, require_unit
 from tactile_loc.core.runtime.errors import FrameError, name_source
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.io.csv_tables import Row, read_number, read_table, require_columns
-
-Floats = NDArray[np.float64]
 
 FILE, TIME = "file", "time_s"
 METRES_PER_COLUMN: dict[tuple[str, ...], float] = {

@@ -20,8 +20,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.formatting import format_mm
@@ -38,7 +38,7 @@ class Ranking:
     `probabilities` (K,) are those of the poses if one of them is right: they sum to one.
     """
 
-    probabilities: NDArray[np.float64]
+    probabilities: Floats
     elsewhere: float
 
     @classmethod
@@ -59,7 +59,7 @@ class Ranking:
         return max(1, sum(self.score(number) <= level for number in range(len(self.probabilities))))
 
 
-def find_level(scores: NDArray[np.float64], coverage: float) -> float:
+def find_level(scores: Floats, coverage: float) -> float:
     """Return the level for a coverage given the scores (n,) of examples, all 0 to 1; infinite if n is too small.
 
     Raises ConfigError unless the coverage is between 0 and 1.
@@ -113,7 +113,7 @@ class PoseSet:
         )
 
     @classmethod
-    def of(cls, ranking: Ranking, scores: NDArray[np.float64], coverage: float, doubt: str = "") -> PoseSet:
+    def of(cls, ranking: Ranking, scores: Floats, coverage: float, doubt: str = "") -> PoseSet:
         """Make a result's set with the requested coverage, given the scores (n,) of examples.
 
         `doubt` is a sentence that states why the examples say nothing about this result; empty if they do. Raises

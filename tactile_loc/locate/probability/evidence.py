@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Poses, invert
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.poses.tolerance import Tolerance
@@ -20,8 +19,6 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import LEAST_UNEXPLAINED, NATS_PER_IOU, compute_sensor_error_nats, find_seen_poses
 from tactile_loc.locate.probability.probes import DIRECTIONS, Probes, place_probes
 from tactile_loc.locate.result.hypothesis import Hypothesis
-
-Float64 = NDArray[np.float64]
 
 TIE_IOU = 1e-4  # a pose that loses less imprint IoU explains the touches as well, and is as probable
 NEAR_GAPS = (0.02, 0.05)  # losses of imprint IoU within which poses are counted
@@ -67,13 +64,13 @@ class Evidence:
     much imprint IoU they lose.
     """
 
-    values: Float64
-    near: NDArray[np.bool_]
+    values: Floats
+    near: Bools
     ties: int
-    fits: Float64
-    press_m: Float64
+    fits: Floats
+    press_m: Floats
     probes: Probes | None
-    probe_losses: Float64
+    probe_losses: Floats
 
 
 def gather_evidence(views: Sequence[View], hypotheses: Sequence[Hypothesis], asked: Question) -> Evidence:
@@ -122,9 +119,7 @@ def gather_evidence(views: Sequence[View], hypotheses: Sequence[Hypothesis], ask
     return Evidence(np.concatenate(values).astype(float), ratios <= 1, equal, fits, press_m[0], probes, losses)
 
 
-def _compare(
-    own: float, ious: Float64, one: Float64, others: Float64 | None, distances: Float64 | None = None
-) -> Float64:
+def _compare(own: float, ious: Floats, one: Floats, others: Floats | None, distances: Floats | None = None) -> Floats:
     """Return how much worse K poses with mean imprint IoUs (K,) explain N touches than the first pose.
 
     `one` (N, R) are the residuals of the first pose, and `others` (K, N, R) those of the poses, or (1, N, R) of the
@@ -141,7 +136,7 @@ def _compare(
     return np.array([gap, own - ious[best], *counts, *distance, more[:, 0].max(), *more.mean(axis=0)])
 
 
-def _measure_residuals(views: Sequence[View], seen: Poses, T: Poses) -> tuple[Float64, Float64]:
+def _measure_residuals(views: Sequence[View], seen: Poses, T: Poses) -> tuple[Floats, Floats]:
     """Return the RESIDUALS (K, N, R) of poses T (K, 4, 4) in the first sensor's frame, and the press errors (K, N).
 
     `seen` (K, N, 4, 4) are the poses in each sensor's frame. All lengths are in metres; the residuals are logarithms.
@@ -170,7 +165,7 @@ def _measure_residuals(views: Sequence[View], seen: Poses, T: Poses) -> tuple[Fl
 
 
 @lru_cache(maxsize=64)
-def describe_surface(touch: Touch) -> Float64:
+def describe_surface(touch: Touch) -> Floats:
     """Return the SURFACE (S,) of a touch: its size, and the noise that it shows itself. Lengths are logarithms of mm.
 
     The roughness is the mean second difference of depths between neighbouring pixels in contact, and the least
@@ -199,7 +194,7 @@ def describe_surface(touch: Touch) -> Float64:
     )
 
 
-def _list_bends(depth_m: NDArray[np.float32], contact: NDArray[np.bool_]) -> Float64:
+def _list_bends(depth_m: Float32, contact: Bools) -> Floats:
     """Return the absolute second differences, metres, of depths along rows, where three neighbours are in contact."""
     inside = contact[:, 2:] & contact[:, 1:-1] & contact[:, :-2]
     return np.abs(depth_m[:, 2:] - 2 * depth_m[:, 1:-1] + depth_m[:, :-2])[inside].astype(float)

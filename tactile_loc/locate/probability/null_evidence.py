@@ -9,11 +9,9 @@ simulated touches of parts, which were left out of libraries of 3 to 300 parts. 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats, Ints
 from tactile_loc.core.runtime.errors import ConfigError
-
-Float64 = NDArray[np.float64]
 
 MOST_BETRAYED = 50.0  # largest exponent
 
@@ -52,7 +50,7 @@ class NullEvidence:
                 f"{self} cannot weigh objects; give nats above 0, growth >= 0, and shares between 0 and 1"
             )
 
-    def measure_excess(self, misfits: Float64, floors: Float64) -> float:
+    def measure_excess(self, misfits: Floats, floors: Floats) -> float:
         """Return the excess, nats, of the best of K objects with `misfits` (K,) over the `floors` (N,) of N touches.
 
         It is divided because of noise: see `growth`.
@@ -60,14 +58,14 @@ class NullEvidence:
         noise = float(np.minimum(floors, self.noise).sum())
         return max(0.0, float(misfits.min()) - noise) / (1 + self.growth * noise)
 
-    def compute_none(self, excess: Float64 | float, touches: NDArray[np.int64] | int) -> Float64:
+    def compute_none(self, excess: Floats | float, touches: Ints | int) -> Floats:
         """Return the probabilities (...) of "none of these" for excesses (...), nats, after `touches` (...) touches."""
         by_chance = self.chance * self.again ** (np.asarray(touches) - 1.0)
         betrayed = np.exp(np.minimum((np.asarray(excess) - self.gap) / self.blur, MOST_BETRAYED))
         ratio = (by_chance + (1 - by_chance) * betrayed) / (1 - self.missed + self.missed * betrayed)
         return np.asarray(self.prior * ratio / (self.prior * ratio + 1 - self.prior))
 
-    def probabilities(self, misfits: Float64, floors: Float64) -> tuple[Float64, float]:
+    def probabilities(self, misfits: Floats, floors: Floats) -> tuple[Floats, float]:
         """Return the probabilities (K,) of K objects, and the probability of "none of these".
 
         `misfits` (K,) are the objects' misfits, and `floors` (N,) those of the touches, nats. An infinite misfit gives
@@ -79,7 +77,7 @@ class NullEvidence:
         return (1 - none) * share_probability(misfits, self.temperature), none
 
 
-def share_probability(misfits: Float64, temperature: float) -> Float64:
+def share_probability(misfits: Floats, temperature: float) -> Floats:
     """Return the shares (K,) of objects with `misfits` (K,), nats, of the probability of all objects."""
     weights = np.exp(-(misfits - misfits.min()) / temperature)
     return np.asarray(weights / weights.sum())

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Floats
 from tactile_loc.locate.probability.evidence import FEATURES, SURFACE, Evidence
 from tactile_loc.locate.result.hypothesis import Hypothesis
 from tactile_loc.locate.result.verdict import Outcome
-
-Float64 = NDArray[np.float64]
 
 FILE, VERSION = "outcomes.npz", 1
 FIT_FEATURES = ("touches", *SURFACE)
@@ -36,16 +35,16 @@ class Trees:
     `threshold` to `left`, and others to `right`; a leaf sends all values to itself, and has a `value`.
     """
 
-    base: Float64
+    base: Floats
     roots: NDArray[np.int32]
     outputs: NDArray[np.int32]
     feature: NDArray[np.int32]
-    threshold: Float64
+    threshold: Floats
     left: NDArray[np.int32]
     right: NDArray[np.int32]
-    value: Float64
+    value: Floats
 
-    def predict(self, x: Float64) -> Float64:
+    def predict(self, x: Floats) -> Floats:
         """Return the probabilities (C,) for features x (F,)."""
         nodes, before = self.roots, None
         while before is None or not np.array_equal(nodes, before):
@@ -65,8 +64,8 @@ class OutcomeModel:
     """
 
     trees: Trees
-    limits: Float64
-    scores: Float64
+    limits: Floats
+    scores: Floats
     about: Mapping[str, Any]
 
     def predict(self, evidence: Evidence) -> Outcome:
@@ -74,7 +73,7 @@ class OutcomeModel:
         right, another, missed = np.clip(self.trees.predict(evidence.values), LEAST, 1 - LEAST).tolist()
         return settle(right, another, missed, evidence.near, evidence.ties)
 
-    def measure_excess(self, evidence: Evidence) -> Float64:
+    def measure_excess(self, evidence: Evidence) -> Floats:
         """Return how much more of each of N touches the first pose leaves unexplained than right poses, (N,).
 
         The values are differences of logarithms. Of the right poses, few have a positive value.
@@ -84,7 +83,7 @@ class OutcomeModel:
         return np.asarray(evidence.fits[:, 0] - most)
 
 
-def settle(right: float, another: float, missed: float, near: NDArray[np.bool_], ties: int) -> Outcome:
+def settle(right: float, another: float, missed: float, near: Bools, ties: int) -> Outcome:
     """Return the outcome of a result with these probabilities, whose hypotheses are `near` (K,) the first one or not.
 
     The first pose is not more probable than the `ties`, the poses that explain the touches as well. If all hypotheses
@@ -97,14 +96,14 @@ def settle(right: float, another: float, missed: float, near: NDArray[np.bool_],
 
 
 def spread_outcome(
-    hypotheses: Sequence[Hypothesis], near: NDArray[np.bool_], outcome: Outcome
+    hypotheses: Sequence[Hypothesis], near: Bools, outcome: Outcome
 ) -> tuple[tuple[Hypothesis, ...], float]:
     """Return K hypotheses with the probabilities of `share_outcome`, and the probability that none is right."""
     p, missed = share_outcome(np.array([h.probability for h in hypotheses]), near, outcome)
     return tuple(replace(h, probability=share) for h, share in zip(hypotheses, p.tolist(), strict=True)), missed
 
 
-def share_outcome(weights: Float64, near: NDArray[np.bool_], outcome: Outcome) -> tuple[Float64, float]:
+def share_outcome(weights: Floats, near: Bools, outcome: Outcome) -> tuple[Floats, float]:
     """Return the probabilities (K,) of poses that agree with an outcome, and the probability that none is right.
 
     The poses that are `near` (K,) the first one share the probability that it is right. To this end, all `weights` (K,)

@@ -7,15 +7,12 @@ other poses are, so they show what the touches leave open: a turn of a shaft, or
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import move
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Floats, Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.tolerance import Tolerance
-
-Float64 = NDArray[np.float64]
 
 DIRECTIONS = 3  # directions with a probe on either side
 BEYOND = 1.2  # distance of a probe, in tolerances
@@ -33,11 +30,11 @@ class Probes:
     """
 
     T: Poses
-    motions: Float64
-    std_m: Float64
+    motions: Floats
+    std_m: Floats
 
 
-def place_probes(T: Poses, covariance: Float64, obj: ObjectModel, tolerance: Tolerance) -> Probes:
+def place_probes(T: Poses, covariance: Floats, obj: ObjectModel, tolerance: Tolerance) -> Probes:
     """Return the probes of a pose (4, 4), metres, with a covariance (6, 6) as in RefinedPose.
 
     Along the principal axes of the covariance, in the metric of surface displacements, each probe is placed BEYOND
@@ -59,7 +56,7 @@ def place_probes(T: Poses, covariance: Float64, obj: ObjectModel, tolerance: Tol
     return Probes(move(T, motions), motions, std_m)
 
 
-def _find_scale(ratios: Float64) -> float:
+def _find_scale(ratios: Floats) -> float:
     """Return the least scale at which a pose is BEYOND tolerances away, or else farthest, given ratios at SCALES.
 
     Beyond half a step of a rotational symmetry, a larger turn leads to a nearer pose.
@@ -72,7 +69,7 @@ def _find_scale(ratios: Float64) -> float:
     return float(scale + (SCALES[k] - scale) * (BEYOND - before) / (ratios[k] - before))
 
 
-def _differentiate(T: Poses, obj: ObjectModel) -> Float64:
+def _differentiate(T: Poses, obj: ObjectModel) -> Floats:
     """Return the derivatives (D, 6) of the point of a pose (4, 4) in the metric up to symmetry, by its motions."""
     steps = STEP * np.concatenate([np.eye(6), -np.eye(6)])
     points = PoseMetric(obj).embed_orbits(move(T, steps))[0]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats, Ints
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
@@ -49,7 +50,7 @@ class TemperatureScaling:
                 "above 0, and the tail at least 0 and below 1"
             )
 
-    def log_p(self, scores: NDArray[np.floating]) -> NDArray[np.float64]:
+    def log_p(self, scores: NDArray[np.floating]) -> Floats:
         """Return log-probabilities (..., N) of scores (..., N).
 
         A higher score means more similar. A score of -inf gives -inf.
@@ -71,7 +72,7 @@ class TemperatureScaling:
 SEARCHED = TemperatureScaling(0.021, 0.4)  # of imprint IoUs: the median of 60 fits to various objects and sensors
 
 
-def fit_temperature_scaling(scores: Sequence[NDArray[np.floating]], truth: NDArray[np.int64]) -> TemperatureScaling:
+def fit_temperature_scaling(scores: Sequence[NDArray[np.floating]], truth: Ints) -> TemperatureScaling:
     """Return the scaling with the least negative log-likelihood of the true poses of T touches.
 
     `scores` has an array (N,) for each touch. `truth` (T,) are the indices of the poses nearest to the true poses.
@@ -97,7 +98,7 @@ def list_batches() -> Iterator[tuple[int, int]]:
         yield SEED + start, min(BATCH, TOUCHES - start)
 
 
-def _losses(scores: NDArray[np.float64], index: int, tried: Sequence[TemperatureScaling]) -> NDArray[np.float64]:
+def _losses(scores: Floats, index: int, tried: Sequence[TemperatureScaling]) -> Floats:
     """Return the negative log-likelihood (K,), nats, of pose `index`, given scores (N,), with each of K scalings."""
     temperatures = sorted({c.temperature for c in tried} | {TAIL_HEAT * c.temperature for c in tried})
     above = scores - scores.max()

@@ -9,17 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import move_covariance
-from tactile_loc.core.geometry.rigid import Poses, axis_angle, invert, transform_points
+from tactile_loc.core.geometry.rigid import Bools, Floats, Poses, axis_angle, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.json_keys import Key, Keys, write_keys
-
-Float64 = NDArray[np.float64]
 
 AS_WELL = 0.02  # a pose explains the touches as well as another if its imprint IoU is lower by at most this
 # standard deviation of the true pose's imprint IoU with several touches, because the reported sensor poses have errors:
@@ -60,10 +57,10 @@ class Freedom:
     """
 
     others: int
-    slide_m: Float64
-    turn_rad: Float64
-    other_turn_rad: Float64
-    other_shift_m: Float64
+    slide_m: Floats
+    turn_rad: Floats
+    other_turn_rad: Floats
+    other_shift_m: Floats
     contact_std_m: float | None = None
 
     def __str__(self) -> str:
@@ -102,7 +99,7 @@ def find_as_well(touches: Sequence[Touch]) -> float:
     return AS_WELL + MISPLACED if len(touches) > 1 and misplaced else AS_WELL
 
 
-def explain_as_well(imprint_ious: Float64, best: float, as_well: float = AS_WELL) -> NDArray[np.bool_]:
+def explain_as_well(imprint_ious: Floats, best: float, as_well: float = AS_WELL) -> Bools:
     """Return which of K poses, (K,), explain the touches as well as a pose with the imprint IoU `best`.
 
     All imprint IoUs, (K,) and `best`, are 0 to 1. A pose does if its imprint IoU is lower by at most `as_well`.
@@ -112,9 +109,9 @@ def explain_as_well(imprint_ious: Float64, best: float, as_well: float = AS_WELL
 
 def find_freedom(
     T_sensor_object: Poses,
-    as_well: NDArray[np.bool_],
-    covariance: Float64 | None,
-    contact_m: Float64,
+    as_well: Bools,
+    covariance: Floats | None,
+    contact_m: Floats,
     obj: ObjectModel,
     tolerance: Tolerance = ONE_MILLIMETRE,
     *,
@@ -154,37 +151,37 @@ def find_freedom(
     )
 
 
-def _find_rotation_vector(T: Poses) -> Float64:
+def _find_rotation_vector(T: Poses) -> Floats:
     angle_deg, axis = axis_angle(T[:3, :3])
     return np.radians(angle_deg) * axis
 
 
-def _name_length(vector: Float64) -> str:
+def _name_length(vector: Floats) -> str:
     return f"{1e3 * np.linalg.norm(vector):.1f} mm"
 
 
-def _name_angle(vector: Float64) -> str:
+def _name_angle(vector: Floats) -> str:
     return f"{np.degrees(np.linalg.norm(vector)):.0f} degrees"
 
 
-def _find_widest(covariance: Float64) -> Float64:
+def _find_widest(covariance: Floats) -> Floats:
     """Return the direction (3,) of the largest variance of a covariance (3, 3), with the length of WIDE deviations."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(WIDE * np.sqrt(max(values[-1], 0.0)) * vectors[:, -1])
 
 
-def _shorten(vector: Float64, most: float) -> Float64:
+def _shorten(vector: Floats, most: float) -> Floats:
     """Return a vector (3,) that is not longer than `most`."""
     return np.asarray(vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-12)))
 
 
-def _find_longest(vectors: list[Float64], least: float) -> Float64:
+def _find_longest(vectors: list[Floats], least: float) -> Floats:
     """Return the longest vector (3,), or zeros if none is longer than `least`."""
     longest = max(vectors, key=lambda v: float(np.linalg.norm(v)), default=NOTHING)
     return longest if np.linalg.norm(longest) > least else NOTHING
 
 
-def _name_direction(vector: Float64) -> str:
+def _name_direction(vector: Floats) -> str:
     """Return x, y or z of the object for a vector (3,) near an axis, and else its direction as three numbers."""
     unit = vector / np.linalg.norm(vector)
     nearest = int(np.abs(unit).argmax())

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import rotate_covariance
-from tactile_loc.core.geometry.rigid import rotation_to_quaternion_xyzw
+from tactile_loc.core.geometry.rigid import Floats, rotation_to_quaternion_xyzw
 from tactile_loc.core.poses.candidate import RefinedPose
 
 
@@ -26,27 +25,27 @@ class Hypothesis:
     """
 
     probability: float
-    T_sensor_object_grid: NDArray[np.float64]
+    T_sensor_object_grid: Floats
     refined: RefinedPose
     grid_index: int
     grid_poses: int
     imprint_iou: float
     imprint_ious: tuple[float, ...] = ()
-    T_base_sensor: NDArray[np.float64] | None = None
+    T_base_sensor: Floats | None = None
     prior_nats: float = 0.0
 
     @property
-    def T_sensor_object(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
+    def T_sensor_object(self) -> Floats:  # noqa: N802 - the field's name
         """The answer: the refined pose (4, 4), metres."""
         return self.refined.T_sensor_object
 
     @property
-    def quaternion_xyzw(self) -> NDArray[np.float64]:
+    def quaternion_xyzw(self) -> Floats:
         """The rotation of T_sensor_object as a unit quaternion (4,), scalar last, as in ROS."""
         return rotation_to_quaternion_xyzw(self.T_sensor_object[:3, :3])
 
     @property
-    def covariance(self) -> NDArray[np.float64] | None:
+    def covariance(self) -> Floats | None:
         """The covariance (6, 6) of the error of T_sensor_object, as in ROS's PoseWithCovariance; None if unknown.
 
         The order is x, y, z of the object frame's origin (m), then rotations about the sensor's x, y, z axes (rad).
@@ -54,7 +53,7 @@ class Hypothesis:
         return self.refined.covariance
 
     @property
-    def T_base_object(self) -> NDArray[np.float64] | None:  # noqa: N802 - the transform's name
+    def T_base_object(self) -> Floats | None:  # noqa: N802 - the transform's name
         """The pose in the base frame (4, 4), metres; None if the sensor's pose is unknown.
 
         For one touch, this is T_base_sensor @ T_sensor_object. With several touches, the reported poses of all sensors
@@ -67,13 +66,13 @@ class Hypothesis:
         return self.T_base_sensor @ (self.T_sensor_object if reported is None else reported)
 
     @property
-    def base_quaternion_xyzw(self) -> NDArray[np.float64] | None:
+    def base_quaternion_xyzw(self) -> Floats | None:
         """The rotation of T_base_object as a unit quaternion (4,), scalar last, as in ROS; None if it is unknown."""
         T = self.T_base_object
         return None if T is None else rotation_to_quaternion_xyzw(T[:3, :3])
 
     @property
-    def base_covariance(self) -> NDArray[np.float64] | None:
+    def base_covariance(self) -> Floats | None:
         """The covariance (6, 6) of the error of T_base_object, as in ROS's PoseWithCovariance; None if unknown.
 
         The order is x, y, z of the object frame's origin (m), then rotations about the base's x, y, z axes (rad). It

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.pose_words import describe_first
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -260,7 +260,7 @@ class Localization:
         return self.hypotheses[0]
 
     @property
-    def T_base_object(self) -> NDArray[np.float64] | None:  # noqa: N802 - the transform's name
+    def T_base_object(self) -> Floats | None:  # noqa: N802 - the transform's name
         """The most probable pose (4, 4), metres, in the frame of the sensors' poses; None if these are unknown."""
         return self.best.T_base_object
 
@@ -428,7 +428,7 @@ class Localization:
             self.summary(), self.hypotheses, self.touches, [] if self.config is None else self.make_views()
         )
 
-    def measure_errors_m(self, obj: ObjectModel) -> NDArray[np.float64] | None:
+    def measure_errors_m(self, obj: ObjectModel) -> Floats | None:
         """Return each hypothesis's pose error (K,), metres; None if the true pose is unknown."""
         T_true = self.touch.T_sensor_object
         if T_true is None:

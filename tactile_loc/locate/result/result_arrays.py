@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats, Ints
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import PosePosterior
@@ -39,7 +40,7 @@ def reduce_mesh(mesh: TriangleMesh) -> TriangleMesh:
     return mesh if len(mesh.faces) <= MOST_FACES else simplify_mesh(mesh, MOST_FACES)
 
 
-def find_most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> NDArray[np.int64]:
+def find_most_probable(posterior: PosePosterior, most: int = MOST_POSES) -> Ints:
     """Return the indices (K,) of the most probable poses, at most `most`, without those of probability 0."""
     top = posterior.top(most)
     return top[np.isfinite(posterior.log_p[top])]
@@ -170,7 +171,7 @@ def _unpack_geometry(arrays: Arrays) -> SensorGeometry:
     return SensorGeometry(**camera, observed=arrays.get("observed"), relief_m=arrays.get("relief_m"))
 
 
-def _read_numbers(arrays: Arrays, name: str) -> NDArray[np.float64]:
+def _read_numbers(arrays: Arrays, name: str) -> Floats:
     """Return the array `name` as floats. Raises KeyError, or ValueError if its values are not finite numbers."""
     values = arrays[name]
     if values.dtype.kind not in "fiu" or not np.isfinite(values).all():

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import format_pose
+from tactile_loc.core.geometry.rigid import Bools, format_pose
 from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -80,7 +79,7 @@ def _count_hidden(**parts: tuple[int, int]) -> str:
     return f"not shown: {', '.join(hidden)}" if hidden else ""
 
 
-def _thin(view: View) -> tuple[SensorGeometry, NDArray[np.bool_]]:
+def _thin(view: View) -> tuple[SensorGeometry, Bools]:
     """Return the sensor with few pixels, and which of them (H, W) the touch marks as contact."""
     geometry, touching = view.touch.thin(SIDE_PX)
     return geometry, touching.contact
@@ -94,7 +93,7 @@ def _draw_prediction(view: View, hypothesis: Hypothesis) -> str:
     return _draw(made, geometry, observed)
 
 
-def _draw(shape: ContactShape, geometry: SensorGeometry, observed: NDArray[np.bool_]) -> str:
+def _draw(shape: ContactShape, geometry: SensorGeometry, observed: Bools) -> str:
     """Return an image element of a contact shape (H, W), with the outline of the observed contact (H, W)."""
     picture = paint_shape(shape, geometry)
     picture[_find_outline(observed)] = read_colour(OUTLINE)
@@ -102,7 +101,7 @@ def _draw(shape: ContactShape, geometry: SensorGeometry, observed: NDArray[np.bo
     return f'<img alt="contact shape" width="{SIDE_PX}" src="data:image/png;base64,{png}">'
 
 
-def _find_outline(contact: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_outline(contact: Bools) -> Bools:
     """Return the pixels (H, W) of a contact that have a neighbour without contact."""
     padded = np.pad(contact, 1, mode="edge")
     inside = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]

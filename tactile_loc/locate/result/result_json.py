@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import rotate_covariance
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Floats, invert
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.candidate import RefinedPose
@@ -269,7 +268,7 @@ def write_hypothesis(rank: int, hypothesis: Hypothesis, error_m: float | None) -
     return write_keys(HYPOTHESIS, hypothesis, rank=rank, error_m=error_m)
 
 
-def read_hypotheses(documents: list[Any], T_base_sensor: NDArray[np.float64] | None) -> tuple[Hypothesis, ...]:
+def read_hypotheses(documents: list[Any], T_base_sensor: Floats | None) -> tuple[Hypothesis, ...]:
     """Return hypotheses whose grid index is unknown, -1. `T_base_sensor` (4, 4), metres, is the first touch's.
 
     Raises ValueError.
@@ -293,7 +292,7 @@ def read_hypotheses(documents: list[Any], T_base_sensor: NDArray[np.float64] | N
     )
 
 
-def _read_refined(keys: dict[str, Any], T_base_sensor: NDArray[np.float64] | None) -> RefinedPose:
+def _read_refined(keys: dict[str, Any], T_base_sensor: Floats | None) -> RefinedPose:
     names = ("T_sensor_object", "covariance", "T_base_object", "base_covariance")
     T, covariance, T_base_object, C = (None if keys[name] is None else np.array(keys[name], float) for name in names)
     assert T is not None, "every hypothesis has a pose"

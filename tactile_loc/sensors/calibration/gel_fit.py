@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.core.sensing.gel import Float32, Gel, compute_smoothing, list_wave_numbers, make_solver
+from tactile_loc.core.sensing.gel import Gel, compute_smoothing, list_wave_numbers, make_solver
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.circles import Circle, compare_colours
 from tactile_loc.sensors.calibration.labels import Image, PressLabel
