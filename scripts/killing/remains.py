@@ -94,7 +94,6 @@ def list_leftovers(place: Place) -> list[str]:
     for root in (place.work, place.store):
         left = [path.relative_to(root) for path in root.rglob("*") if _is_left(path)]
         found += [path.name for path in left if not any(map(_is_left, path.parents))]
-    found += [path.name for path in place.store.glob("sweep-builds/*")]
     found += [path.name for path in place.temporary.iterdir() if path.name != "dask-scratch-space"]
     found += [f"dask {path.name}" for path in place.temporary.glob("dask-scratch-space/*") if path.is_dir()]
     return sorted(re.sub(r"[0-9a-f]{16,}", "HEX", name) for name in found)

@@ -4,7 +4,7 @@ import logging
 import threading
 import traceback
 from collections.abc import Generator, Iterable, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,11 +12,9 @@ from typing import Any, Protocol
 from tactile_loc.core.runtime.errors import TactileLocError, fold_line
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.store.files import read_json, remove_abandoned, write_json, write_text
-from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
 
 ROWS, ERRORS = "rows", "errors"  # folders of the results
-JOURNALS = "sweep-builds"  # a folder of the store
 # A Dask worker may have several threads, but OpenGL contexts and numba's workqueue allow only one at a time.
 _ALONE = threading.Lock()
 
@@ -49,7 +47,7 @@ class JobOutcome:
     """The outcome of a job: the values `measured`, or an `error` in one sentence.
 
     `trace` is the traceback of an unexpected error. `built` has the names, "stage digest", of the stages that were
-    built for the job, also by processes that were killed.
+    built for the job.
     """
 
     key: str
@@ -80,48 +78,10 @@ class QueuedJob:
     about: Mapping[str, Any]
 
 
-class BuildJournal(list[StageKey]):
-    """The keys of the stages built for a job, also kept in a file of the store until `forget`.
-
-    If the file cannot be written, the list lacks stages built by processes that were killed.
-    """
-
-    def __init__(self, store: Path, key: str) -> None:
-        super().__init__()
-        self._path = _locate_journal(store, key)
-        self._earlier: list[str] = []
-        with suppress(OSError, UnicodeDecodeError):
-            self._earlier = self._path.read_text(encoding="utf-8").splitlines()
-
-    def append(self, key: StageKey) -> None:
-        """Record that a stage was built."""
-        super().append(key)
-        with suppress(OSError):
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(f"{key}\n")
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of all stages, "stage digest"; names from killed processes come first."""
-        return tuple(dict.fromkeys([*self._earlier, *map(str, self)]))
-
-    @staticmethod
-    def forget(job: Job) -> None:
-        """Remove a job's file, after its outcome has been written."""
-        with suppress(OSError):
-            _locate_journal(job.store, job.key).unlink(missing_ok=True)
-
-
-def _locate_journal(store: Path, key: str) -> Path:
-    return store / JOURNALS / f"{key}.txt"
-
-
 def do_job(job: Job, subject: Any) -> JobOutcome:
     """Do a job on its subject. An error is returned in the outcome."""
     with _ALONE:
         store = StageStore(job.store)
-        store.built = built = BuildJournal(job.store, job.key)
         measured, error, trace = None, "", ""
         try:
             measured = job.measure(subject, store)
@@ -129,7 +89,8 @@ def do_job(job: Job, subject: Any) -> JobOutcome:
             error = str(raised)
         except Exception as raised:  # noqa: BLE001 - a component may raise anything
             error, trace = f"{type(raised).__name__}: {raised}", traceback.format_exc()
-        return JobOutcome(job.key, measured, built.names, fold_line(" ".join(error.split())), trace)
+        built = tuple(map(str, store.built))
+        return JobOutcome(job.key, measured, built, fold_line(" ".join(error.split())), trace)
 
 
 class FinishedJobs:
@@ -181,9 +142,6 @@ def resume_jobs(
     kept, progress = FinishedJobs(out), progress or Progress()
     kept.tidy()
     outcomes = kept.find_successful(one.job.key for one in queue)
-    for one in queue:  # a killed run may have left the journal of a finished job
-        if one.job.key in outcomes:
-            BuildJournal.forget(one.job)
     missing = {one.job.key: one for one in queue if one.job.key not in outcomes}
     if not missing:
         return outcomes, []
@@ -194,7 +152,6 @@ def resume_jobs(
         for number, outcome in enumerate(running, start=1):
             one = missing[outcome.key]
             kept.write(outcome, one.about)
-            BuildJournal.forget(one.job)
             outcomes[outcome.key] = outcome
             failed += bool(outcome.error)
             note = f"{one.note} ({failed} failed)" if failed else one.note

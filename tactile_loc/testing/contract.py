@@ -26,6 +26,7 @@ CHECKS: list[Check] = []
 SHARED: list[Any] = []  # the caches of `share`
 
 Made = TypeVar("Made", bound=Callable[..., Any])
+Cause = str | Callable[[], str]  # the end of a message, or a function that finds it when a check fails
 
 
 @dataclass(frozen=True)
@@ -90,21 +91,21 @@ def share(make: Made) -> Made:
     return SHARED[-1]  # type: ignore[no-any-return]
 
 
-def require(holds: object, sentence: str, cause: Callable[[], str] = str) -> None:
+def require(holds: object, sentence: str, cause: Cause = "") -> None:
     """Raise ContractError with `sentence` and its likely `cause` as its message unless the condition `holds`."""
     if not holds:
-        raise ContractError(f"{sentence}{cause()}")
+        raise ContractError(f"{sentence}{cause if isinstance(cause, str) else cause()}")
 
 
-def name_cause(mistakes: Mapping[str, Callable[[], object]], often: str = "") -> str:
-    """Return the end of a message that names the first mistake whose test is true.
+def name_cause(mistakes: Mapping[str, Any], explains: Callable[[Any], object] = bool, often: str = "") -> str:
+    """Return the end of a message that names the first mistake whose result `explains` the component's answer.
 
-    A test repeats the mistake, and compares the result with the component's answer. So a cause is named only if it
-    explains the answer. If no test is true, the end names causes that are frequent.
+    A result is what a right component with this mistake would give; by default, it says itself whether it explains the
+    answer. If none does, the end names causes that are frequent.
     """
-    for mistake, explains in mistakes.items():
+    for mistake, result in mistakes.items():
         with np.errstate(all="ignore"):
-            if explains():
+            if explains(result):
                 return f"; likely cause: {mistake}"
     return f"; often, {often}" if often else ""
 
@@ -123,9 +124,7 @@ def require_array(value: Any, shape: tuple[int, ...], dtype: type, what: str) ->
     require(value.dtype == dtype, f"{what} must be {np.dtype(dtype)}, not {value.dtype}")
 
 
-def require_close(
-    value: ArrayLike, truth: ArrayLike, tolerance: float, sentence: str, cause: Callable[[], str] = str
-) -> None:
+def require_close(value: ArrayLike, truth: ArrayLike, tolerance: float, sentence: str, cause: Cause = "") -> None:
     """Raise ContractError unless two arrays agree to an absolute tolerance, in the arrays' own unit."""
     a, b = np.asarray(value, float), np.asarray(truth, float)
     require(a.shape == b.shape, f"{sentence} (shapes {a.shape} and {b.shape})", cause)

@@ -1,8 +1,6 @@
 """Checks for encoders: similar poses must have similar embeddings, at any press depth and image size."""
 
 import dataclasses
-from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
@@ -57,7 +55,7 @@ def check_output(encoder: Encoder) -> None:
         same = other.shape == (len(some), vectors.shape[1])
         require(same, f"{what} must be encoded as ({len(some)}, {vectors.shape[1]}), not {other.shape}")
         often = "; often, it is divided by its length, which is 0"
-        require(np.isfinite(other).all(), f"{what} must have a finite embedding", often.__str__)
+        require(np.isfinite(other).all(), f"{what} must have a finite embedding", often)
     require(np.isfinite(vectors).all(), "embeddings must be finite")
 
 
@@ -68,7 +66,7 @@ def check_batch_is_singles(encoder: Encoder) -> None:
     together = _encode(encoder, shapes, PRESS_M, CAMERA)
     singly = np.concatenate([_encode(encoder, s[None], PRESS_M, CAMERA) for s in shapes])
     often = "; often, embeddings are normalised over the batch; normalise each one alone"
-    _require_alike(together, singly, together, "a batch must be encoded as its shapes one by one", often.__str__)
+    _require_alike(together, singly, together, "a batch must be encoded as its shapes one by one", often)
 
 
 @check("encoder")
@@ -140,7 +138,7 @@ def check_patches(encoder: Encoder) -> None:
         expected = _encode(encoder, cut_patches(patches, press_m), press_m, PATCH_CAMERA)
         found = encoder.encode_patches(patches.copy(), press_m)
         require_array(found, expected.shape, np.float32, "encode_patches")
-        cause = partial(_name_inherited, encoder, "encode_patches")
+        cause = _name_inherited(encoder, "encode_patches")
         require_close(found, expected, 1e-4 * _spread(expected), "encode_patches must agree with encode", cause)
 
 
@@ -228,7 +226,7 @@ def property_mirror_image(encoder: Encoder) -> None:
             (near < far).all(),
             "a part must be nearer to itself, 0.3 mm away, than to its mirror image; "
             f"distances are up to {(near / np.maximum(far, 1e-12)).max():.2f} times as large",
-            lambda: name_cause({"both have the same embedding": lambda: far.max() == 0}),
+            name_cause({"both have the same embedding": far.max() == 0}),
         )
 
     hold(claim, examples=3, place=places(most_tenths_mm=15))
@@ -274,7 +272,7 @@ def _require_seen_as_plain(encoder: Encoder, shapes: Float32, press_m: float, ca
     plain = _encode(encoder, shapes, press_m, camera)
     whole, weights = encoder.encode_seen(shapes, np.ones(shapes.shape, bool), press_m, camera)
     sentence = "fully seen shapes must have the embeddings of encode"
-    _require_alike(whole, plain, plain, sentence, partial(_name_inherited, encoder, "encode_seen"))
+    _require_alike(whole, plain, plain, sentence, _name_inherited(encoder, "encode_seen"))
     require(weights.shape == plain.shape, f"weights {weights.shape} must have the embeddings' shape {plain.shape}")
     return weights
 
@@ -297,23 +295,21 @@ def _name_inherited(encoder: Encoder, method: str) -> str:
     """Name the cause if the class that defines a method is another one than the class that defines `encode`."""
     owner, encodes = (next(base for base in type(encoder).__mro__ if name in vars(base)) for name in (method, "encode"))
     inherited = f"{method} is inherited from {owner.__name__}, whose encode differs; override both"
-    return name_cause({inherited: lambda: owner not in (encodes, Encoder) and issubclass(encodes, owner)})
+    return name_cause({inherited: owner not in (encodes, Encoder) and issubclass(encodes, owner)})
 
 
 def _require_found(queries: Float32, bank: Float32, sentence: str, often: str = "") -> None:
     """Raise ContractError unless each query is nearest to its own row of the bank."""
-    alike = {"all embeddings are equal": lambda: np.ptp(bank, axis=0).max() == 0}
+    alike = {"all embeddings are equal": np.ptp(bank, axis=0).max() == 0}
     nearest = np.linalg.norm(queries[:, None] - bank[None], axis=-1).argmin(axis=1)
-    _require_order(nearest, sentence, partial(name_cause, alike, often))
+    _require_order(nearest, sentence, name_cause(alike, often=often))
 
 
-def _require_order(found: np.ndarray, sentence: str, cause: Callable[[], str] = str) -> None:
+def _require_order(found: np.ndarray, sentence: str, cause: str = "") -> None:
     require((found == np.arange(len(found))).all(), f"{sentence}; the nearest rows are {found.tolist()}", cause)
 
 
-def _require_alike(
-    value: Float32, truth: Float32, plain: Float32, sentence: str, cause: Callable[[], str] = str
-) -> None:
+def _require_alike(value: Float32, truth: Float32, plain: Float32, sentence: str, cause: str = "") -> None:
     """Raise ContractError unless embeddings agree to a thousandth of the spread of `plain` embeddings."""
     require_close(value, truth, 1e-3 * _spread(plain), sentence, cause)
 

@@ -1,8 +1,7 @@
 """Checks for fusers: probabilities must multiply over the grid of the first touch; some fusers use only contact."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from typing import cast
 
 import numpy as np
@@ -53,8 +52,8 @@ def check_one_touch(fuser: Fuser) -> None:
         _require_equal(fused, uniform, "with contact_only=True, the poses of one touch must be equally probable")
     else:
         right = posterior.probabilities
-        logs = {"probabilities are returned as log_p": lambda: _is_over(fused, np.exp(right))}
-        _require_equal(fused, right, "one touch without a prior must be unchanged", lambda: name_cause(logs))
+        logs = {"probabilities are returned as log_p": _is_over(fused, np.exp(right))}
+        _require_equal(fused, right, "one touch without a prior must be unchanged", name_cause(logs))
 
 
 @check("fuser")
@@ -233,7 +232,7 @@ def _fuse_several(
     except ConfigError:
         return None
     often = "; often, T_base_sensor is ignored or inverted; a pose of touch k is T_base_sensor[k] @ T_sensor_object"
-    require(not isinstance(fused, NoPoseLeft), "touches of one pose must leave poses, not NoPoseLeft", often.__str__)
+    require(not isinstance(fused, NoPoseLeft), "touches of one pose must leave poses, not NoPoseLeft", often)
     return _take(cast(PosePosterior, fused), posteriors[0])
 
 
@@ -281,8 +280,8 @@ def _require_prior(plain: PosePosterior, fused: PosePosterior, prior: Prior, sen
         "the prior's log-weights are used as weights": np.exp(weights),
         "the prior is subtracted": -weights,
     }
-    mistakes = {what: partial(_is_over, fused, times(logs)) for what, logs in wrong.items() if logs.max() < np.inf}
-    _require_equal(fused, times(weights), sentence, partial(name_cause, mistakes))
+    mistakes = {what: _is_over(fused, times(logs)) for what, logs in wrong.items() if logs.max() < np.inf}
+    _require_equal(fused, times(weights), sentence, name_cause(mistakes))
 
 
 def _is_over(fused: PosePosterior, weights: NDArray[np.floating]) -> bool:
@@ -296,7 +295,5 @@ def _require_both(one: PosePosterior | None, other: PosePosterior | None, senten
         _require_equal(one, other.probabilities, sentence)
 
 
-def _require_equal(
-    fused: PosePosterior, probabilities: NDArray[np.floating], sentence: str, cause: Callable[[], str] = str
-) -> None:
+def _require_equal(fused: PosePosterior, probabilities: NDArray[np.floating], sentence: str, cause: str = "") -> None:
     require_close(fused.probabilities, probabilities, TOLERANCE, f"{sentence} (probabilities)", cause)

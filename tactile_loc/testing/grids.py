@@ -68,7 +68,7 @@ def check_spacing(sampler: GridSampler) -> None:
     spacing_m = float(_bring_to_contact(_sample(sampler)).neighbour_spacing().mean())
     right = 0.4 * SPACING_M <= spacing_m <= 2 * SPACING_M
     sentence = f"the mean spacing must be about {SPACING_M * 1e3:g} mm, not {spacing_m * 1e3:.2g} mm"
-    require(right, sentence, lambda: name_cause({"poses are listed twice": lambda: spacing_m < SAME_M}))
+    require(right, sentence, name_cause({"poses are listed twice": spacing_m < SAME_M}))
 
 
 @check("grid", "not places")
@@ -76,7 +76,7 @@ def check_denser_grid_has_more_poses(sampler: GridSampler) -> None:
     """Half the spacing gives at least twice as many poses, even along a line."""
     coarse, fine = (len(_sample(sampler, k * SPACING_M)) for k in (1.0, 0.5))
     sentence = f"half the spacing must give at least twice the {coarse} poses, not {fine}"
-    require(fine >= 2 * coarse, sentence, lambda: name_cause({"spacing_m is not used": lambda: 1 < coarse == fine}))
+    require(fine >= 2 * coarse, sentence, name_cause({"spacing_m is not used": 1 < coarse == fine}))
 
 
 @check("grid")
@@ -291,10 +291,7 @@ def _name_mistake(poses: Poses, obj: ObjectModel) -> str:
         del mistakes["translations are in millimetres"]
     least = max(LEAST_TOUCHING, 2 * _count_touching(poses, obj))
 
-    def explains(T: Poses) -> bool:
-        return _count_touching(T, obj) >= least
-
-    return name_cause({what: partial(explains, T) for what, T in mistakes.items()})
+    return name_cause(mistakes, lambda T: _count_touching(T, obj) >= least)
 
 
 def _declare_symmetry(symmetry: str) -> ObjectModel:

@@ -1,6 +1,6 @@
 """Checks for matchers: a score must be minus half the squared distance, for any bank, queries and weights."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -11,6 +11,7 @@ from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.slots.interface import WEIGHTS_CHANGE, takes_weights
 from tactile_loc.slots.matcher import Matcher
 from tactile_loc.testing.contract import (
+    Cause,
     ContractError,
     Untouched,
     check,
@@ -169,12 +170,10 @@ def _name_mistake(
         rounding = TOLERANCE * max(float(np.abs(truth).max()), 1e-12)
         return bool(both.any() and np.abs(scores[both] - wrong[both]).max() <= rounding)
 
-    return name_cause({what: partial(explains, wrong) for what, wrong in mistakes.items()})
+    return name_cause(mistakes, explains)
 
 
-def _require_alike(
-    scores: NDArray[np.floating], truth: NDArray[np.floating], sentence: str, cause: Callable[[], str] = str
-) -> None:
+def _require_alike(scores: NDArray[np.floating], truth: NDArray[np.floating], sentence: str, cause: Cause = "") -> None:
     """Raise ContractError if no entry is finite in both `scores` and `truth`, or if they differ at such an entry."""
     both = np.isfinite(scores) & np.isfinite(truth)
     require(both.any(), sentence)

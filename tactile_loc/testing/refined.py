@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -98,7 +97,7 @@ def require_kept(one: Refined) -> None:
     require(
         moved_px <= TOLERANCE_PX,
         f"the true pose must stay; it moved by {moved_px:.2g} pixels",
-        lambda: _name_mistake(WRONG_POSES, explains, often),
+        lambda: name_cause(WRONG_POSES, explains, often),
     )
 
 
@@ -117,7 +116,7 @@ def require_related(plain: Refined, other: Refined, back: Callable[[Poses], Pose
     require(
         apart <= TOLERANCE_PX,
         f"{sentence}; the answers are {apart:.3g} pixels apart, allowed {TOLERANCE_PX:g}",
-        lambda: _name_mistake({**WRONG_POSES, **WRONG_MOTIONS}, explains, often),
+        lambda: name_cause({**WRONG_POSES, **WRONG_MOTIONS}, explains, often),
     )
 
 
@@ -134,7 +133,7 @@ def require_shrunk(tried: Sequence[Refined], share: float, sentence: str) -> Non
     require(
         after_m <= share * before_m,
         f"{sentence}; their mean error went from {before_m * 1e3:.2f} to {after_m * 1e3:.2f} mm",
-        lambda: _name_mistake(
+        lambda: name_cause(
             {**WRONG_POSES, **WRONG_MOTIONS},
             explains,
             small if leaves else "points are paired wrongly, or a rotation is about a wrong centre",
@@ -149,7 +148,7 @@ def require_same(plain: Refined, again: Refined, other: RefinedPose, sentence: s
     require(
         apart_px <= tolerance_px,
         f"{sentence}; the answers are {apart_px:.3g} pixels apart, allowed {tolerance_px:g}",
-        lambda: name_cause({"the same candidate gives another pose each time": lambda: noise_px > tolerance_px}),
+        name_cause({"the same candidate gives another pose each time": noise_px > tolerance_px}),
     )
 
 
@@ -165,7 +164,3 @@ def scale_step(motion: Poses, factor: float) -> Poses:
 
 def _reverse_turn(motion: Poses) -> Poses:
     return make_transform(motion[:3, :3].T, motion[:3, 3])
-
-
-def _name_mistake(mistakes: dict[str, Mend], explains: Callable[[Mend], bool], often: str) -> str:
-    return name_cause({what: partial(explains, mend) for what, mend in mistakes.items()}, often)

@@ -15,6 +15,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import compute_contact_depth
 from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing.contract import (
+    Cause,
     ContractError,
     Untouched,
     check,
@@ -155,7 +156,7 @@ def check_scale(renderer: Renderer) -> None:
         small = renderer.render(make_stepped_block(), poses, camera)
         large = renderer.render(scale_mesh(make_stepped_block(), 2.0), double, scale_sensor(camera, 2.0))
         often = "; often, a length is fixed in metres, such as a near or far plane, or another mesh is kept"
-        _same(large / 2, small, camera, "depths must scale with the object and the sensor", cause=often.__str__)
+        _same(large / 2, small, camera, "depths must scale with the object and the sensor", cause=often)
 
 
 @check("renderer", "deterministic")
@@ -219,7 +220,7 @@ def _intersect_sphere(camera: SensorGeometry, centre_m: Floats, radius_m: float)
     return np.where(root >= 0, (b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf)
 
 
-def _compare(depth: Float32, truth: Floats, camera: SensorGeometry, sentence: str, cause: Callable[[], str]) -> None:
+def _compare(depth: Float32, truth: Floats, camera: SensorGeometry, sentence: str, cause: Cause) -> None:
     """Compare a smooth surface's depths (H, W) with the true depths, inside and outside the contact band."""
     end = camera.standoff_m + camera.max_depth_m
     inside = (truth >= camera.standoff_m) & (truth < end - TOLERANCE_M)
@@ -249,12 +250,7 @@ def _draw(renderer: Renderer, mesh: TriangleMesh, T: Poses, camera: SensorGeomet
 
 
 def _same(
-    depth: Depths,
-    truth: Depths,
-    camera: SensorGeometry,
-    sentence: str,
-    stray: float = STRAY,
-    cause: Callable[[], str] = str,
+    depth: Depths, truth: Depths, camera: SensorGeometry, sentence: str, stray: float = STRAY, cause: Cause = ""
 ) -> None:
     """Compare the contact depths (N, H, W) of two pictures. A share `stray` of the pixels may differ."""
     require(depth.shape == truth.shape, f"{sentence}; the shapes are {depth.shape} and {truth.shape}")
@@ -317,4 +313,4 @@ def _name_mistake(renderer: Renderer, camera: SensorGeometry, often: str = "") -
         contact = compute_contact_depth(wrong, camera, camera.max_depth_m) < camera.max_depth_m
         return bool(contact.any()) and _count_different(shown, wrong, camera) <= STRAY
 
-    return name_cause({what: partial(explains, pair) for what, pair in alike.items()})
+    return name_cause(alike, explains)

@@ -1,7 +1,6 @@
 """Checks for sensors: the geometry must be constant, and each observation is converted or refused."""
 
 import json
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -64,7 +63,7 @@ def check_contact_shape(sensor: SensorModel) -> None:
         f"the press depth must be within the sensor's maximal depth of {deepest_m:g} m, not {shape.press_depth_m:g} m"
     )
     in_mm = 20 * deepest_m < shape.press_depth_m <= 1e3 * deepest_m * (1 + 1e-6)
-    require(in_range, sentence, lambda: name_cause({"it is in millimetres": lambda: in_mm}))
+    require(in_range, sentence, name_cause({"it is in millimetres": in_mm}))
     within = bool((depth >= 0).all() and (depth <= np.float32(shape.press_depth_m)).all())
     require(within, "contact depths must be from 0 to the press depth, which marks no contact, and not NaN")
 
@@ -206,11 +205,7 @@ def _require_kept(sensor: SensorModel, depth_m: Floats) -> None:
         return depth.shape == whole.shape and bool((np.abs(depth - whole)[kept] <= 1e-6).all())
 
     require_close(
-        found[kept],
-        depth_m[kept],
-        1e-7,
-        "depths in metres must be kept",
-        lambda: name_cause({what: partial(explains, depth) for what, depth in undone.items()}),
+        found[kept], depth_m[kept], 1e-7, "depths in metres must be kept", lambda: name_cause(undone, explains)
     )
     require(not shape.contact[~kept].any(), "a pixel at the press depth or deeper, or NaN, must not be in contact")
     require(shape.contact.any(), "a pixel above the press depth must be in contact")

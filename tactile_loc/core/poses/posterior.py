@@ -101,13 +101,6 @@ class PosePosterior:
         best = np.flatnonzero(self.log_p >= least)  # more than `count` if poses are as probable as the last one
         return best[np.argsort(-self.log_p[best], kind="stable")][:count]
 
-    def find_likeliest(self) -> int:
-        """Return the grid index of the most probable pose, the same one of equally probable poses on all processors."""
-        tied = np.flatnonzero(self.log_p >= self.log_p.max() - TIE_NATS)
-        return int(
-            tied[rank_poses(np.zeros(len(tied), np.int64), self.grid.T_sensor_object[tied], self.grid.metric)[0]]
-        )
-
     def credible_level(self, index: int, lot: float = 0.0) -> float:
         """Return the total probability of all poses likelier than pose `index` of the grid, 0 to below 1.
 

@@ -15,7 +15,7 @@ from faulty import install
 from message_helpers import naming
 
 from tactile_loc.core.runtime.errors import UnknownPluginError
-from tactile_loc.evaluation.jobs import JOURNALS, FinishedJobs, do_job
+from tactile_loc.evaluation.jobs import do_job
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.protocol import LINES, TIMED
 from tactile_loc.evaluation.sweep.combination import (
@@ -109,23 +109,6 @@ def test_a_job_that_always_kills_its_worker_has_a_row_with_an_error(tiny, folder
     for (_, refiner), error in errors(swept).items():
         assert ("workers.log" in error) == (refiner == "lethal")
     assert "signal 9" in (tmp_path / "out" / "workers.log").read_text()
-
-
-def test_stages_built_by_a_killed_worker_are_counted(tiny, tmp_path):
-    plan = Plan.from_values({**tiny, "object": "pin", "refiner": "none", "count": 1})
-    combinations, objects = combine(plan)
-    (one,) = combinations
-    journal = tmp_path / "store" / JOURNALS / f"{one.key}.txt"
-    journal.parent.mkdir(parents=True)
-    journal.write_text("grid 0123456789abcdef\n")
-    job = CombinationJob(one.key, one.config, 1, tmp_path / "store")
-    outcome = do_job(job, objects["pin"])
-    assert outcome.built[0] == "grid 0123456789abcdef"
-    assert outcome.built[1].startswith("grid ")
-    assert do_job(job, objects["pin"]).built == outcome.built, "a second attempt counts the same stages"
-    FinishedJobs(tmp_path / "out").write(outcome, {})
-    run_sweep(plan, tmp_path / "out", tmp_path / "store", LocalWorkers(1, 1, tmp_path / "workers.log"))
-    assert list(journal.parent.iterdir()) == []
 
 
 def test_a_worker_with_other_versions_refuses_the_job(tiny, tmp_path):
