@@ -26,11 +26,9 @@ from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers
 from tactile_loc_app.virtual_finger import Pose
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.io.config import RunConfig
-from tactile_loc.store.store import StageStore
+from tactile_loc import ObjectModel, RunConfig, StageStore
+from tactile_loc.plugin import Scene
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 LARGE = 200_000  # triangles, at least
 TILT_RAD = np.radians(25.0)  # the finger tilts up to this angle

@@ -5,12 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.slots.registry import registry
+from tactile_loc import Localizer, ObjectModel, RobotTouches, SensorGeometry, load_object
+from tactile_loc.plugin import registry
 
 ROOT = Path(__file__).parents[1]
 

@@ -18,13 +18,11 @@ from contacts import LEVELS
 from joint import move_near
 from scipy.stats import chi2
 
-from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc import PoseMetric
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.scene import Scene, View
 from tactile_loc.evaluation.metrics import compute_nees
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import Candidate, Scene, View, registry
+from tactile_loc.plugin.helpers import invert
 
 MILD = dataclasses.replace(NOISE["mild"], press_share=(1.0, 1.0))
 CASES = {"mild": {"noise": MILD}, "strong": LEVELS["strong"], "misplaced": LEVELS["misplaced"]}

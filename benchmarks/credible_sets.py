@@ -20,12 +20,11 @@ import numpy as np
 from asked import make_parser, open_asked
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.runtime.errors import GridError
+from tactile_loc import PosePosterior, StageStore
 from tactile_loc.locate.localizer import Localizer, compute_posterior_together
 from tactile_loc.locate.probability.temperature import SHARED
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import GridError
+from tactile_loc.plugin.helpers import invert
 
 LEVELS = (0.5, 0.8, 0.95)
 

@@ -16,10 +16,7 @@ from asked import make_parser, make_source
 from contacts import Located, locate
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.store.store import StageStore
+from tactile_loc import Localizer, StageStore, TactileLocError, Touch, localize_together
 
 CASES = {  # sensor that is touched, sensor whose geometry is used for locating
     "curved gel, located as curved": ("digit-curved", "digit-curved"),

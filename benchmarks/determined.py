@@ -17,13 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, rotation_about, transform_points
-from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc import ObjectModel, Touch
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
-from tactile_loc.core.sensing.clouds import make_contact_cloud
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.slots.renderer import Renderer
+from tactile_loc.plugin import Poses, Renderer, Scene
+from tactile_loc.plugin.helpers import invert, make_contact_cloud, make_transform, rotation_about, transform_points
 
 Float64 = NDArray[np.float64]
 

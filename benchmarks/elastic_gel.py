@@ -24,18 +24,14 @@ from tactile_loc_benchmark.sources.elastic import FAR_M, make_shape
 from tactile_loc_benchmark.sources.layer import press_layer
 from tactile_loc_benchmark.suite import read_split
 
+from tactile_loc import ContactShape, Localizer, SensorGeometry, StageStore, TactileLocError, Touch, localize_together
 from tactile_loc.core.poses.pose_errors import RIGHT_M, measure_pose_errors
 from tactile_loc.core.poses.tolerance import measure_shape_distances
-from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.noise import TouchNoise
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches, measure_noisily
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import Scene
 
 MM = 1e3
 VERY_THICK_MM = 1e3  # acts as a half-space

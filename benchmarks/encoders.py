@@ -19,11 +19,8 @@ import numpy as np
 from asked import load_asked, make_parser, make_source, write_head
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc import Localizer, ObjectModel, RunConfig, StageStore
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.store import StageStore
 
 ENCODERS: dict[str, dict[str, Any]] = {
     "pixel": {"name": "pixel", "signal": "depth", "cells": 16}, "moco": {"name": "moco"},

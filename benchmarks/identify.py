@@ -42,17 +42,12 @@ from tactile_loc_library.null_fit import KnownAnswer, fit_null_evidence
 from tactile_loc_library.record import PlaceGrid
 from tactile_loc_library.search import PartSearch
 
+from tactile_loc import Localizer, NullEvidence, RobotTouches, RunConfig, StageStore, Touch
 from tactile_loc.core.sensing.noise import NOISE, TouchNoise
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.config import RunConfig
 from tactile_loc.locate.identify import find_floors, identify
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.probability.null_evidence import NullEvidence
 from tactile_loc.locate.result.verdict import Outcome, Verdict
 from tactile_loc.locate.result.verdict import judge as judge_pose
 from tactile_loc.planning.identification_files import AS_PROBABLE
-from tactile_loc.store.store import StageStore
 
 TEMPERATURE = 0.05  # not fitted, because objects are weighed by their evidence
 FALSE_ALARMS = 0.05

@@ -15,12 +15,9 @@ import numpy as np
 from asked import load_asked, make_parser
 from contacts import LEVELS
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
-from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.sensing.scene import Scene, View
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.slots.registry import registry
+from tactile_loc import PoseMetric, RobotTouches
+from tactile_loc.plugin import Candidate, Scene, View, registry
+from tactile_loc.plugin.helpers import invert, make_transform, rotation_about
 
 TURNED_DEG, MOVED_MM = 8.0, 2.0
 AGAIN = 5  # repetitions of each measurement

@@ -23,8 +23,7 @@ from tactile_loc_library.identification import choose_shortlists, identify_part
 from tactile_loc_library.search import PartSearch
 from tactile_loc_library.votes import rate_object
 
-from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc import TactileLocError, Touch
 
 COLUMNS = ("parts", "touches", "examples", "all votes", "deciding votes", "of these the scan", "joined")
 IDENTIFIED = ("first identified", "again")

@@ -26,12 +26,8 @@ from sequences import FOUND_M, make_sliding, start_tracker, track
 from tactile_loc_benchmark.sliding_touches import Frame
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.core.geometry.rigid import invert, make_translation
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.store.store import StageStore
-from tactile_loc.tracking.tracked_pose import TrackedPose
+from tactile_loc import Localizer, PoseMetric, StageStore, TrackedPose, Verdict
+from tactile_loc.plugin.helpers import invert, make_translation
 
 BEFORE, AFTER, SOON = 12, 30, 3
 FAR_M = 0.33

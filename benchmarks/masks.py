@@ -21,12 +21,9 @@ from elastic_gel import SIZES_PX
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, binary_erosion
 
+from tactile_loc import Localizer, NoContactError, StageStore, TactileLocError, Touch, localize_together
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
-from tactile_loc.core.runtime.errors import NoContactError, TactileLocError
-from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.options import CERTAIN
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.store.store import StageStore
 
 MM = 1e3
 RIGHT_MM = 1.0

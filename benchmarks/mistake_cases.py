@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter, zoom
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.poses.priors import GaussianPrior
-from tactile_loc.io.meshes.mesh_files import simplify_mesh
+from tactile_loc import GaussianPrior, TriangleMesh, simplify_mesh
+from tactile_loc.plugin.helpers import draw_rotations, invert, make_transform, make_translation, rotation_about
 
 Array = NDArray[Any]
 Settings = dict[str, Any]

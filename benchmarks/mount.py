@@ -18,16 +18,12 @@ import numpy as np
 from asked import make_parser
 from scipy.stats import chi2
 
+from tactile_loc import FlangeTouches, Localizer, StageStore, TactileLocError, calibrate_hand_eye
 from tactile_loc.core.geometry.lie import compute_pose_errors
-from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, rotation_about
-from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.planning.hand_eye_calibration import FlangeTouches, calibrate_hand_eye
+from tactile_loc.plugin import Scene, registry
+from tactile_loc.plugin.helpers import draw_rotations, invert, make_transform, rotation_about
 from tactile_loc.simulate.touch_simulation import simulate_touches
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.store import StageStore
 
 MOUNT_STD_M, BASE_STD_M = 0.05, 0.3
 MOVED_MM, MOVED_DEG = 5.0, 10.0

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from tactile_loc_library.library import Library
 from tactile_loc_library.search import PartSearch
 
-from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.io.config import RunConfig
+from tactile_loc import RunConfig, TactileLocError
 
 SHORTLIST = 64
 

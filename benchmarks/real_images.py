@@ -24,16 +24,12 @@ import numpy as np
 from asked import make_data_parser, write_head
 from numpy.typing import NDArray
 
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc import EstimatorRecipe, Localizer, SensorGeometry, StageStore, convert_presses
 from tactile_loc.io.images import load_image
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.circles import Circle, compare_colours, find_imprint, find_rim
-from tactile_loc.sensors.calibration.layouts import convert_presses
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome, calibrate
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.reading import Health, measure_health, measure_press_m
-from tactile_loc.store.store import StageStore
 
 # folder or file, ball radius and pixel size in mm, image size
 SETS = {

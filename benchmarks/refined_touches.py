@@ -21,12 +21,10 @@ from joint import move_near
 from numpy.typing import NDArray
 from refiners import small_gicp_gicp
 
-from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.sensing.scene import Scene, View, view_touch
 from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
-from tactile_loc.slots.refiner import Refiner
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import Candidate, RefinedPose, Refiner, registry
 
 CANDIDATE, GICP = "candidate", "gicp"
 REFINERS = ("none", "joint", "icp", "filterreg", "kiss-icp", "render", GICP)

@@ -29,21 +29,12 @@ from numpy.typing import NDArray
 from single_touch import choose_spacing
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc import Localizer
-from tactile_loc.bases.cloud_refiner import Cloud, CloudRefiner, Registration
-from tactile_loc.core.geometry.rigid import Poses
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.candidate import Candidate
+from tactile_loc import Localizer, ObjectModel, PosePosterior, RunConfig, StageStore, TactileLocError, Touch
 from tactile_loc.core.poses.pose_errors import compute_adds
-from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import SURFACE_POINTS
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
-from tactile_loc.io.config import RunConfig
-from tactile_loc.slots.refiner import Refiner
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import Candidate, Poses, Refiner, registry
+from tactile_loc.plugin.helpers import Cloud, CloudRefiner, Registration
 
 Transform = NDArray[np.float64]
 Record = dict[str, Any]

@@ -19,17 +19,12 @@ from pathlib import Path
 import numpy as np
 from asked import write_head
 
-from tactile_loc.core.geometry.rigid import Float32, Poses, draw_rotations, make_transform
-from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.runtime.errors import RenderError
-from tactile_loc.core.sensing.contact import bring_to_contact
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc import DEMO_OBJECTS, SensorGeometry, TriangleMesh, load_object
+from tactile_loc.plugin import Float32, Poses, Renderer, RenderError
+from tactile_loc.plugin.helpers import bring_to_contact, draw_rotations, make_transform
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.renderers.pyrender.renderer import PyrenderRenderer
 from tactile_loc.plugins.renderers.raycast import RaycastRenderer
-from tactile_loc.slots.renderer import Renderer
 
 CAMERAS = {
     "GelSlim": SensorGeometry("pinhole", 470, 470, 291.5, 289.0, 235.0, 235.0, 0.025, 0.002).resize(200, 200),

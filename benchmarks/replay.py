@@ -24,20 +24,14 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc import Localizer, LocatedFrame, PoseMetric, Recording, Replay, StageStore, Touch
 from tactile_loc.core.poses.pose_errors import RIGHT_M, measure_pose_errors
 from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.slides import BASE, IMAGE_TOPIC, T_BASE_OBJECT, Slide, draw_random_slide, write_slide
-from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.io.streams.ros_messages import read_pose, read_stamp_ns
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.located_frame import LocatedFrame
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.store import StageStore
-from tactile_loc.tracking.replay import Replay
+from tactile_loc.plugin import registry
 from tactile_loc.tracking.replay_files import Replayed, ReplayOutput, locate_each_to
 
 POSE_TOPIC = "/object/pose"

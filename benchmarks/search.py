@@ -28,11 +28,7 @@ from asked import make_parser, make_source, open_asked
 from contacts import LEVELS, Located, locate
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.localization import Localization
-from tactile_loc.store.store import StageStore
+from tactile_loc import Localization, Localizer, StageStore, TactileLocError, Touch
 
 AREAS = (0.0, 0.01, 0.03, 0.1, 1.0)  # limits of the contact area, share of the sensor
 NEAR_MM = 1.0

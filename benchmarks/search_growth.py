@@ -19,11 +19,7 @@ from asked import load_asked, make_parser, make_source
 from matplotlib.ticker import NullFormatter
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.io.config import RunConfig
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.store import StageStore
+from tactile_loc import Localizer, ObjectModel, RunConfig, StageStore, load_object
 from tactile_loc.view.pictures import make_figure, save_figure
 
 SCALES, DIRECTIONS = (0.5, 1.0, 2.0, 4.0), (1000, 4000, 16_000)

@@ -19,9 +19,8 @@ from PIL import Image as Picture
 from real_images import SETS
 from scipy.ndimage import affine_transform, gaussian_filter
 
-from tactile_loc.io.images import read_photo
+from tactile_loc import convert_presses, read_photo
 from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
-from tactile_loc.sensors.calibration.layouts import convert_presses
 from tactile_loc.sensors.calibration.outcome import FolderReading, calibrate_folder
 from tactile_loc.sensors.calibration.press_table import TABLE
 from tactile_loc.sensors.reading.passport import examine_photos

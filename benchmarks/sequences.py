@@ -27,20 +27,12 @@ from scipy.stats import chi2
 from tactile_loc_benchmark.sliding_touches import Frame, SlidingTouches, Slip
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.bases.cloud_refiner import Cloud
+from tactile_loc import Localizer, ObjectModel, PoseMetric, StageStore, Touch, TrackedPose, Tracker
 from tactile_loc.core.geometry.lie import move
-from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.sensing.clouds import make_contact_cloud
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import compute_nees
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.store import StageStore
-from tactile_loc.tracking.tracked_pose import TrackedPose
-from tactile_loc.tracking.tracker import Tracker
+from tactile_loc.plugin import Poses, registry
+from tactile_loc.plugin.helpers import Cloud, invert, make_contact_cloud, rotation_angle
 
 SENSOR_STD_M, SENSOR_STD_RAD = 1e-4, np.radians(0.1)
 START_STD = np.array([1e-3] * 3 + [np.radians(1.0)] * 3) / np.sqrt(3)

@@ -22,21 +22,18 @@ from asked import write_head
 from single_touch import choose_spacing
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc import Localizer, StageStore, Touch, load_object
 from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.paper_tables import normalise_errors
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.config import RunConfig, parse_overrides
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc.plugin import TouchError
 from tactile_loc.sensors.calibration.simulated import SimulatedSensor, calibrate_simulated
 from tactile_loc.sensors.optics.lamps import Optics
 from tactile_loc.sensors.optics.simulate import find_indentation, press_gel, render_touches
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator
 from tactile_loc.sensors.reading.reading import find_contact_shape, measure_press_m
-from tactile_loc.store.store import StageStore
 
 BATCH = 10
 COLUMNS = ("object", "RMSE, image (mm)", "RMSE, contact (mm)", "IoU", "least IoU", "press error (mm)", "ms an image")

@@ -18,14 +18,10 @@ import numpy as np
 from asked import load_asked, make_parser
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc import ExampleTable, Localizer, ObjectModel, RunConfig, StageStore
 from tactile_loc.evaluation.paper_tables import find_scale_m, summarise_lines
 from tactile_loc.evaluation.protocol import STAGES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.table import ExampleTable
-from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.store import StageStore
 
 LINES = ("closest", "random", "best-1", "best-10", "reg-1", "chosen")
 

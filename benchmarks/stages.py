@@ -26,13 +26,10 @@ from pathlib import Path
 import numpy as np
 from asked import make_parser, make_source, name_asked, open_asked, write_head
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc import Localizer, StageStore, TactileLocError, Touch, localize_together
 from tactile_loc.core.poses.pose_errors import RIGHT_M, measure_pose_errors
 from tactile_loc.core.poses.tolerance import measure_shape_distances
-from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 MS = 1e3
 STAGES = ("match", "register", "refine", "choose")

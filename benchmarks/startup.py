@@ -19,12 +19,9 @@ from statistics import median
 
 from asked import open_asked, split_asked
 
-from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc import DEMO_OBJECTS, Localizer, StageStore, write_touch
 from tactile_loc.locate.sources.stored_places import build_places
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import Progress
 
 LOCATE = "import sys\nfrom tactile_loc import Localizer\nlocalizer = Localizer.create(sys.argv[1])\n"
 LOCATE += "localizer.localize(localizer.read_touch(sys.argv[2]))\n"

@@ -23,13 +23,11 @@ from typing import Any
 
 import psutil
 
+from tactile_loc import Plan, StageStore, write_sweep
 from tactile_loc.evaluation.jobs import Workers
 from tactile_loc.evaluation.sweep.combination import combine
-from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Sweep, run_sweep
 from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers
-from tactile_loc.reports.sweep_figures import write_sweep
-from tactile_loc.store.store import StageStore
 
 SENSOR = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
 MOCO = {"name": "moco", "epochs": 1, "queries": 32, "batch": 32, "channels": 4}

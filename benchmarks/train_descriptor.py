@@ -31,12 +31,10 @@ from tactile_loc_library.descriptor import Descriptor as Described
 from torch import Tensor, nn
 from torch.nn import functional
 
-from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc import ObjectModel, load_object
 from tactile_loc.core.places.places import BELOW, PATCH_PX, PITCH_M, STEP_M, Places
-from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.noise import FAINTEST, NOISE
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import Progress, registry
 
 HELD_OUT = ("gear", "clip", "fitting", "cam")
 TRAINED = [*(name for name in FAMILIES if name not in HELD_OUT), *ROUNDED]

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tactile_loc_app.session import LIST, Session
 
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc import Localizer, SensorGeometry
 from tactile_loc.io.images import encode_png
 from tactile_loc.io.sensor_files import write_sensor_file
 from tactile_loc.io.touch_lists import write_touch_list
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.optics.lamps import OPTICS, Optics
 from tactile_loc.sensors.optics.shading import render_background, render_images
 from tactile_loc.sensors.optics.simulate import press_gel, render_touches

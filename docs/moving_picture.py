@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from tactile_loc import Localization, Localizer, localize_together
-from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
-from tactile_loc.core.runtime.compiled import map_in_threads
-from tactile_loc.io.shape_pictures import paint_shape
+from tactile_loc import Localization, Localizer, localize_together, paint_shape
+from tactile_loc.plugin.helpers import make_transform, make_translation, map_in_threads, rotation_about
 from tactile_loc.view.drawn_scene import DrawnSensor, move_triangles
 from tactile_loc.view.palette import DARK, LIGHT, Palette
 from tactile_loc.view.pose_panel import SUPERSAMPLE, Canvas, fit_bounds

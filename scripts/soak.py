@@ -24,14 +24,9 @@ from numpy.typing import NDArray
 from tactile_loc_benchmark.sliding_touches import Frame, SlidingTouches
 from tactile_loc_cli.console import make_progress
 
+from tactile_loc import Localizer, RobotTouches, StageStore, Touch, Tracker, format_markdown
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.text_tables import format_markdown
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.store import StageStore
-from tactile_loc.tracking.tracker import Tracker
+from tactile_loc.plugin import registry
 
 MOST_GROWTH = 0.02
 WARM = 10  # the first of these parts of the work is not measured

@@ -5,13 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc import Localization, Localizer, PoseMetric, RobotTouches, Touch, localize_together
 from tactile_loc.core.sensing.noise import TouchNoise, make_noise
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.result.localization import Localization
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import registry
 
 NONE = make_noise("none")
 

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc import ObjectModel, SensorGeometry
 from tactile_loc.tracking.pose_modes import PoseModes, find_distinct_modes
 
 GEL = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)  # 20 x 15 mm

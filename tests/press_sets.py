@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc import EstimatorRecipe, SensorGeometry
 from tactile_loc.io.sensor_files import write_sensor_file
 from tactile_loc.sensors.calibration.labels import LabelledPresses, PressLabel, label_ball
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
 from tactile_loc.sensors.optics.simulate import press_gel
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 
 MM = 1e-3
 BALL_M = 3e-3

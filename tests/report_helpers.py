@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from tactile_loc import Localizer, Plan
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES
 from tactile_loc.evaluation.jobs import JobOutcome
 from tactile_loc.evaluation.metrics import METRICS as RECALL_METRICS
@@ -20,10 +21,8 @@ from tactile_loc.evaluation.paper_tables import collect_contacts, collect_touche
 from tactile_loc.evaluation.protocol import LINES, METRICS, STAGES
 from tactile_loc.evaluation.recall.tables import collect_answers
 from tactile_loc.evaluation.sweep.combination import TIMED_LINES, TOUCHES, Combination, combine
-from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import MEASURED, Sweep
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, name_errors
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.reports import find_result
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.report import make_page

@@ -8,10 +8,8 @@ from unittest.mock import patch
 
 import numpy as np
 
+from tactile_loc.plugin import Capabilities, ComponentSpec, Matcher, hookimpl, registry
 from tactile_loc.slots import registry as module
-from tactile_loc.slots.component import Capabilities
-from tactile_loc.slots.matcher import Matcher
-from tactile_loc.slots.registry import ComponentSpec, hookimpl, registry
 
 
 class Plain(Matcher):

@@ -12,9 +12,8 @@ import pytest
 import trimesh
 from trimesh.triangles import closest_point
 
-from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, make_translation, rotation_about
-from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc import SensorGeometry, TriangleMesh
+from tactile_loc.plugin.helpers import draw_rotations, make_transform, make_translation, rotation_about
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 with pytest.MonkeyPatch.context() as patch:

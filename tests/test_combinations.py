@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 import strange_matchers
 
-from tactile_loc.core.objects.mesh import ObjectModel
+from tactile_loc import ObjectModel, StageStore
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.slots import registry as registry_module
 from tactile_loc.slots.code import find_plugins
 from tactile_loc.slots.registry import PROJECT, registry
-from tactile_loc.store.store import StageStore
 
 ROOT = Path(__file__).parents[1]
 OUTLINE = ROOT / "plugins_contrib" / "tactile-loc-outline"

@@ -18,19 +18,16 @@ from press_sets import COLUMNS, ball_set, write_image
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
-from tactile_loc import Localizer, RosPose, Verdict, load_object, write_touch
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc import LiveLocator, Localizer, RosPose, StageStore, Verdict, load_object, read_approaches, write_touch
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.evaluation.slides import draw_random_slide, write_slide
-from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.mount_files import HandEyeRecord, write_mount
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.sensor_files import read_sensor_file
 from tactile_loc.io.streams.frame_sources import ImageFolder
 from tactile_loc.io.touch_lists import read_touch_list
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 from tactile_loc.testing.problems import press_block
-from tactile_loc.tracking.live import LiveLocator
 
 ELSEWHERE = {
     "cli.md": "test_reference.py",  # generated

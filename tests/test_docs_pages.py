@@ -26,16 +26,13 @@ from tactile_loc_cli.main import app
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from tactile_loc import reports, write_touch
-from tactile_loc.core.geometry.rigid import is_rigid
-from tactile_loc.io.approach_files import read_approaches
-from tactile_loc.io.config import RunConfig
+from tactile_loc import Localizer, RunConfig, read_approaches, reports, write_touch
 from tactile_loc.io.options import TUNABLE
 from tactile_loc.io.prior_files import read_prior
 from tactile_loc.io.touch_lists import read_labelled_touches, read_touch_list
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.result_arrays import MOST_FACES, MOST_POSES, pack_arrays
 from tactile_loc.locate.result.verdict import MEANINGS, Verdict
+from tactile_loc.plugin.helpers import is_rigid
 from tactile_loc.plugins.sensors.presets import Preset
 from tactile_loc.slots.registry import BUILT_IN, SLOTS, registry
 from tactile_loc.view.palette import DARK, LIGHT

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tactile_loc import Verdict
+from tactile_loc import PoseMetric, Verdict
 from tactile_loc.core.geometry.lie import move
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted((ROOT / "examples").glob("[0-9]*.py"))

@@ -9,9 +9,8 @@ from killing.commands import FLAT, Life, Moment, Place
 from killing.trials import Plan, Trials, run_trials
 from record import Done, Record
 
+from tactile_loc import StageKey, StageStore
 from tactile_loc.store.files import replace_file
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
 
 KEY = StageKey("bank", 1, {"mesh": "a"})
 

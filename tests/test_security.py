@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
+from tactile_loc import load_object, read_touch
 from tactile_loc.core.runtime.errors import ObjectError, SensorError, TouchError
 from tactile_loc.io.images import read_colour_image
-from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.sensor_files import read_sensor_file
-from tactile_loc.io.touches import read_touch
 from tactile_loc.plugins.sensors.presets import GelSlim
 
 ROOT = Path(__file__).parents[1]

@@ -11,7 +11,7 @@ from press_sets import ball_set, write_calibrated, write_table
 from public_sets import PUBLIC_SETS
 from report_helpers import sweep_rows, write_run, write_sweep
 
-from tactile_loc.io.config import RunConfig
+from tactile_loc import Localizer, RunConfig, StageKey, StageStore
 from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
 from tactile_loc.io.streams.ros_messages import (
     CDR,
@@ -23,9 +23,6 @@ from tactile_loc.io.streams.ros_messages import (
     make_image,
     make_transforms,
 )
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace
 
 WHOLE = Path(__file__).parent / "whole"

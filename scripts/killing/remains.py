@@ -16,11 +16,9 @@ from tactile_loc_library.building import WAITING
 from tactile_loc_library.library import MANIFEST as LIBRARY
 
 from killing.commands import Place
-from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.io.streams.recordings import Recording
+from tactile_loc import Recording, StageStore, TactileLocError
 from tactile_loc.store.artifact import MANIFEST, read_artifact
 from tactile_loc.store.keys import hash_file
-from tactile_loc.store.store import StageStore
 
 STAGE = "store: "  # prefix of stages in an answer
 BESIDE = ".tmp-"  # prefix of files that are not yet in their place

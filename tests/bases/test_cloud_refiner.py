@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.bases.cloud_refiner import CloudRefiner, Registration
-from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc.plugin.helpers import CloudRefiner, Registration, make_translation
 from tactile_loc.testing.problems import OFFSETS, press_block, replace_depth
 
 

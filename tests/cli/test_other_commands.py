@@ -9,13 +9,11 @@ import pytest
 from cli_helpers import FLAT_SENSOR, SURE, TINY, Cli, assert_refused, succeed
 from PIL import Image
 
-from tactile_loc import __version__
-from tactile_loc.data import DEMO_OBJECTS
+from tactile_loc import DEMO_OBJECTS, StageStore, __version__
 from tactile_loc.io.config import choose_component
 from tactile_loc.io.touch_lists import read_touch_list
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.slots.registry import SLOTS
-from tactile_loc.store.store import StageStore
 
 
 def test_version_and_help_are_printed(cli: Cli):

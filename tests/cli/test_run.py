@@ -17,13 +17,12 @@ from tactile_loc_cli.main import app
 from tactile_loc_cli.results import _name_side, make_title, say_result
 from typer.testing import CliRunner
 
-from tactile_loc.core.geometry.rigid import rotation_about
+from tactile_loc import Localization, load_object
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.io.config import TouchConfig
-from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.result import result_arrays
-from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Outcome, Verdict, explain_verdict
+from tactile_loc.plugin.helpers import rotation_about
 from tactile_loc.plugins.grids.face import find_resting_normal
 from tactile_loc.store.locks import lock, open_folder
 

@@ -15,9 +15,8 @@ from tactile_loc_cli.commands.store import parse_age, write_age
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner
 
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
+from tactile_loc import StageKey, StageStore
+from tactile_loc.plugin import ConfigError
 
 DAY_S = 86400
 OBJECT = {"mesh": "ab12cd34" + "0" * 56, "symmetry": "z2", "centre_m": [0, 0, 0]}

@@ -7,9 +7,8 @@ import pytest
 import trimesh
 from scipy.special import ndtr
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc import ContactShape, Localizer, RunConfig, Touch
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.ambiguity import (
     DISTANT_M,
     RIVALS,
@@ -18,8 +17,7 @@ from tactile_loc.evaluation.ambiguity import (
     find_rivals,
     measure_ambiguity,
 )
-from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 MILD = NOISE["mild"]
 SENSOR, GRID = {"name": "gelsight-mini", "gel": "rigid"}, {"name": "face", "spacing_mm": 2.5, "face": "+z"}

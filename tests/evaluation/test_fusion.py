@@ -4,18 +4,15 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc import ExampleTable, Localizer, PosePosterior, StageStore
 from tactile_loc.core.poses.pose_errors import compute_adds
-from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
-from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, MOST_FUSED, evaluate_fusion, make_fusion_key
 from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.table import ExampleTable
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc.plugin import ConfigError, NoPoseLeft
+from tactile_loc.plugin.helpers import invert
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
-from tactile_loc.store.store import StageStore
 
 COUNT, CONTACTS = 4, (1, 2, 4)
 SOURCE = SimulatedTouches("strong", 3)

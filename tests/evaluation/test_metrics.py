@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
-from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
+from tactile_loc.plugin.helpers import SymmetryGroup, make_transform, make_translation, rotation_about
 
 TRUE_POSE = make_transform(rotation_about([1, 2, 3], 0.7), [0.01, 0.02, 0.03])
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc import PoseGrid, PoseMetric, PosePosterior
 from tactile_loc.evaluation.metrics import LEVELS, POSTERIOR_METRICS, compute_nees, measure_posterior
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 P = np.array([0.1, 0.4, 0.2, 0.3])
 STEP_M = 2e-3

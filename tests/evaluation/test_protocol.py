@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
+from tactile_loc import ExampleTable, Localizer, PoseJudge, StageKey, StageStore
 from tactile_loc.core.poses.pose_errors import compute_adds
-from tactile_loc.core.runtime.errors import ConfigError, TouchError
-from tactile_loc.evaluation.metrics import PoseJudge
 from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
 from tactile_loc.evaluation.protocol import (
     LINES,
@@ -21,10 +20,7 @@ from tactile_loc.evaluation.protocol import (
     measure_in_shards,
 )
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.table import ExampleTable
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import ConfigError, TouchError
 
 COUNT = 6
 

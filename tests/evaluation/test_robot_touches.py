@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import invert, rotation_angle
-from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc import RobotTouches, SensorGeometry, Touch
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.plugin import TouchError
+from tactile_loc.plugin.helpers import invert, rotation_angle
 from tactile_loc.testing.problems import ReferenceRenderer
 
 GEOMETRY = SensorGeometry("orthographic", 64, 48, 3200.0, 3200.0, 32.0, 24.0, 0.010, 0.002)

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from press_sets import TINY, ball_set
 
+from tactile_loc import EstimatorRecipe, StageStore, calibrate_folder
 from tactile_loc.evaluation.sensor_damage import measure_damage
 from tactile_loc.reports.page import render
 from tactile_loc.reports.tasks import make_passport_page
 from tactile_loc.sensors.calibration.folder import read_calibration
-from tactile_loc.sensors.calibration.outcome import calibrate_folder
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.passport import examine_photos
-from tactile_loc.store.store import StageStore
 
 
 @pytest.mark.slow

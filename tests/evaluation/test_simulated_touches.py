@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from message_helpers import missing, naming
 
+from tactile_loc import EstimatorRecipe, Localizer, SensorGeometry
 from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, TouchError
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.evaluation.protocol import evaluate, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.sensors.calibration.folder import read_calibration, write_calibration
 from tactile_loc.sensors.calibration.simulated import SimulatedSensor, calibrate_simulated
 from tactile_loc.sensors.optics.lamps import OPTICS
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 
 IMAGES = SimulatedTouches(seed=3, images=True)
 SENSOR = SensorGeometry("orthographic", 96, 96, 3500.0, 3500.0, 48.0, 48.0, 0.01, 2e-3)

@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc import Recording, decode_image
 from tactile_loc.core.sensing.contact import find_lowest_points
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.touch import contact_shape_from_array
 from tactile_loc.evaluation.slides import FLANGE, GEL, Photos, Slide, draw_slide, write_slide
-from tactile_loc.io.streams.recordings import Recording
-from tactile_loc.io.streams.ros_messages import decode_image
+from tactile_loc.plugin import TouchError
+from tactile_loc.plugin.helpers import contact_shape_from_array, make_transform, rotation_about
 from tactile_loc.sensors.optics.lamps import OPTICS
 
 START = make_transform(rotation_about([1, 2, 0], 0.6), [0.001, 0.0, 0.02])

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from message_helpers import naming
 
+from tactile_loc import Recording, load_object
 from tactile_loc.core.runtime.errors import (
     CalibrationError,
     ConfigError,
@@ -17,14 +18,12 @@ from tactile_loc.core.runtime.errors import (
     UnknownPluginError,
 )
 from tactile_loc.io.config import find_sensor_kind
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.io.streams.recordings import Recording
 from tactile_loc.io.toml import read_toml
 from tactile_loc.io.touches import read_contents
+from tactile_loc.plugin import registry
 from tactile_loc.reports import find_result
 from tactile_loc.sensors.calibration.folder import read_calibration
 from tactile_loc.sensors.calibration.frames import read_frames
-from tactile_loc.slots.registry import registry
 
 NAMES = ["x" * 5000, "/nowhere/" + "x" * 300, "a\x00b", "x" * 5000 + ".toml"]
 READERS = {

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
-from tactile_loc.core.runtime.errors import ConfigError, TouchError
-from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc import ContactShape, Touch, write_touch
 from tactile_loc.io.touch_lists import read_labelled_touches, read_touch_list
-from tactile_loc.io.touches import write_touch
+from tactile_loc.plugin import ConfigError, TouchError
+from tactile_loc.plugin.helpers import invert, make_transform, rotation_about
 
 POSE = "xyz_mm = [100, -20, 300]\nrpy_deg = [0, 0, 90]\n"
 T = make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.1, -0.02, 0.3])

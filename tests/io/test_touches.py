@@ -7,13 +7,11 @@ from message_helpers import missing, naming
 from numpy.typing import NDArray
 from PIL import Image
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc import ContactShape, SensorGeometry, Touch, read_touch, write_touch
 from tactile_loc.core.runtime.errors import NoContactError, OutputError, TouchError
 from tactile_loc.core.sensing.gel import RIGID, Gel
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.io.touches import read_touch, write_touch
-from tactile_loc.slots.sensor import DepthFiles, SensorModel
+from tactile_loc.plugin import DepthFiles, SensorModel
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 MM = 1e-3
 MAX_DEPTH_M = 2 * MM

@@ -8,10 +8,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.localization import Localization
-from tactile_loc.store.store import StageStore
+from tactile_loc import Localization, Localizer, StageStore, Touch
 
 WHOLE = {"sensor": "gelsight-mini", "grid": {"name": "whole", "directions": 300}, "temperature": 0.05}
 FACE = {"grid": {"name": "face", "spacing_mm": 8.0}, "temperature": 0.05}

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from locate_helpers import draw_examples, locate_together, measure_errors_mm
 
-from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc import Localizer, Touch
+from tactile_loc.plugin import Candidate
 
 
 @pytest.fixture(scope="module")

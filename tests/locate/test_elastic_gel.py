@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from locate_helpers import list_poses, locate_together, measure_errors_mm
 
-from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc import ContactShape, Localizer, Touch
+from tactile_loc.plugin.helpers import invert
 
 MM = 1e3
 PRESS_M, THICKNESS_MM = 6e-4, 4.0

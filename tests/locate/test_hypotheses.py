@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import make_translation, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc import ContactShape, ObjectModel, PoseGrid, PoseMetric, Touch
 from tactile_loc.core.poses.posterior import TIE_NATS, Mode, PosePosterior
-from tactile_loc.core.sensing.scene import View
-from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.locate.hypotheses import (
     NATS_PER_IOU,
     assign_probabilities,
@@ -23,6 +17,8 @@ from tactile_loc.locate.hypotheses import (
     weigh,
 )
 from tactile_loc.locate.result.localization import Hypothesis
+from tactile_loc.plugin import RefinedPose, View
+from tactile_loc.plugin.helpers import SymmetryGroup, make_translation, rotation_about
 from tactile_loc.testing.problems import make_box
 
 

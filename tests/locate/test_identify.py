@@ -7,15 +7,11 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc import Localizer, NullEvidence, RobotTouches, RunConfig, Verdict, localize_together
 from tactile_loc.core.runtime.errors import ConfigError, ObjectError, StoreError, TouchError
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.config import RunConfig
 from tactile_loc.locate import identify as module
 from tactile_loc.locate.identify import Identification, KnownObject, identify, measure_misfits
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.locate.probability.null_evidence import NullEvidence
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 
 FEW = {"name": "whole", "directions": 300, "turns": 24}

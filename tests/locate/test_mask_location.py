@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from locate_helpers import draw_examples, list_poses, locate_together
 
+from tactile_loc import Localizer, Touch, write_touch
 from tactile_loc.core.poses.tolerance import measure_shape_distances
-from tactile_loc.core.runtime.errors import ConfigError, TouchError
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.hypotheses import compute_nats
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Outcome, Verdict
 from tactile_loc.locate.sources.place_search import list_presses, spread_anchors
+from tactile_loc.plugin import ConfigError, TouchError
 
 SENSOR = {"name": "gelsight-mini", "gel": "rigid", "image_size_px": [160, 120]}
 

@@ -7,14 +7,11 @@ import pytest
 from locate_helpers import list_poses, locate_together
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
-from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.core.poses.priors import GaussianPrior
-from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc import GaussianPrior, Localizer, RunConfig
 from tactile_loc.locate.outliers import find_agreement
 from tactile_loc.locate.result.localization import Hypothesis
+from tactile_loc.plugin import GridError, RefinedPose
+from tactile_loc.plugin.helpers import invert, make_transform, rotation_about
 
 ELSEWHERE = make_transform(rotation_about([0, 0, 1], np.radians(30)), [0.006, 0.004, 0.0])
 

@@ -7,14 +7,11 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import make_transform
-from tactile_loc.core.poses.candidate import RefinedPose
+from tactile_loc import Hypothesis, Localization, Localizer, Touch
 from tactile_loc.core.sensing.gel import RIGID
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.polish import polish
-from tactile_loc.locate.result.hypothesis import Hypothesis
-from tactile_loc.locate.result.localization import Localization
+from tactile_loc.plugin import RefinedPose
+from tactile_loc.plugin.helpers import make_transform
 
 PRESS_M = 5e-4
 PHOTO = np.zeros((4, 4, 3), np.uint8)

@@ -9,18 +9,15 @@ import pytest
 from locate_helpers import locate_together, measure_errors_mm
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.candidate import RefinedPose
+from tactile_loc import HypothesisOptions
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
-from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
 from tactile_loc.io.config import SlotConfig
-from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.localizer import Localizer, compute_posterior_together, localize_together
 from tactile_loc.locate.outliers import require_within_reach
 from tactile_loc.locate.result.hypothesis import RefinedBy
+from tactile_loc.plugin import ConfigError, GridError, RefinedPose, Refiner, TouchError, registry
+from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about
 from tactile_loc.plugins.refiners.icp import IcpRefiner
-from tactile_loc.slots.refiner import Refiner
-from tactile_loc.slots.registry import registry
 
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.7), [0.4, -0.2, 0.3])
 

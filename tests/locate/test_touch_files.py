@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.runtime.errors import TouchError
+from tactile_loc import Localizer, write_touch
 from tactile_loc.io.config import SlotConfig
 from tactile_loc.io.sensor_files import write_sensor_file
 from tactile_loc.io.touch_lists import ListedTouch
-from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.touch_files import (
     COLUMNS,
     find_touches,
@@ -26,6 +24,7 @@ from tactile_loc.locate.touch_files import (
     read_observations,
     write_table,
 )
+from tactile_loc.plugin import TouchError
 
 
 @pytest.fixture

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from planning_helpers import GEL, modes_of
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.planning.approaches import draw_approaches, draw_approaches_to_modes
+from tactile_loc import draw_approaches, draw_approaches_to_modes
 from tactile_loc.planning.next_touch import choose_next_touch, foresee
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import Scene, registry
+from tactile_loc.plugin.helpers import invert, make_transform, rotation_about
 from tactile_loc.tracking.pose_modes import PoseModes, join_modes
 
 HERE = make_transform(rotation_about([1, 2, 3], 1.0), [0.4, 0.1, -0.2])

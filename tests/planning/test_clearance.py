@@ -9,13 +9,10 @@ import trimesh
 from message_helpers import naming
 from planning_helpers import GEL, PRESS_M, join_boxes, modes_of
 
-from tactile_loc.core.geometry.rigid import align_to_z, make_transform, make_translation, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.runtime.errors import ConfigError, MissingLibraryError
-from tactile_loc.io.approach_files import Approach
-from tactile_loc.planning.approaches import draw_approaches_to_modes
+from tactile_loc import Approach, ObjectModel, TriangleMesh, choose_next_touch, draw_approaches_to_modes
 from tactile_loc.planning.clearance import Clearance, cut_gel, find_first_hit_m, make_box_finger
-from tactile_loc.planning.next_touch import choose_next_touch
+from tactile_loc.plugin import ConfigError, MissingLibraryError
+from tactile_loc.plugin.helpers import align_to_z, make_transform, make_translation, rotation_about
 
 pytest.importorskip("fcl", reason="python-fcl is not installed")
 

@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
+from tactile_loc import Localizer, PoseMetric
 from tactile_loc.core.geometry.hand_eye import predict
 from tactile_loc.core.geometry.lie import compute_pose_errors, move
-from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.runtime.errors import MountError
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.io.mount_files import Mount, read_mount, write_mount
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Hypothesis
 from tactile_loc.planning import hand_eye_calibration as module
 from tactile_loc.planning.hand_eye_calibration import (
@@ -26,6 +22,8 @@ from tactile_loc.planning.hand_eye_calibration import (
     require_motions,
 )
 from tactile_loc.planning.hand_eye_starts import AGREES_M, list_hand_eye_starts
+from tactile_loc.plugin import RefinedPose, Scene
+from tactile_loc.plugin.helpers import draw_rotations, invert, make_transform, make_translation, rotation_about
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.simulate.touch_simulation import simulate_touches
 

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from tactile_loc import Identification, KnownObject, PoseModes, choose_next_touch, draw_approaches_to_modes
 from tactile_loc.io.json_keys import read_keys
-from tactile_loc.locate.identify import Identification, KnownObject
-from tactile_loc.planning.approaches import draw_approaches_to_modes
 from tactile_loc.planning.identification_files import (
     IDENTIFICATION,
     OBJECT,
@@ -15,9 +14,7 @@ from tactile_loc.planning.identification_files import (
     list_inseparable,
     write_identification,
 )
-from tactile_loc.planning.next_touch import choose_next_touch
 from tactile_loc.planning.next_touch_files import NEXT_TOUCH, RATED
-from tactile_loc.tracking.pose_modes import PoseModes
 
 
 def test_the_document_states_the_poses_of_each_object_with_their_probabilities(localization):

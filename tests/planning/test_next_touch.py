@@ -8,13 +8,11 @@ import trimesh
 from message_helpers import naming
 from planning_helpers import GEL, PRESS_M, join_boxes, modes_of
 
-from tactile_loc.core.geometry.rigid import align_to_z, invert, make_transform, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.runtime.errors import ConfigError, TouchError
+from tactile_loc import Approach, Clearance, ObjectModel, make_box_finger
 from tactile_loc.core.sensing.gel import Gel
-from tactile_loc.io.approach_files import Approach
-from tactile_loc.planning.clearance import Clearance, make_box_finger
 from tactile_loc.planning.next_touch import choose_next_touch, compute_expected_entropy, find_groups, foresee
+from tactile_loc.plugin import ConfigError, TouchError
+from tactile_loc.plugin.helpers import align_to_z, invert, make_transform, rotation_about
 from tactile_loc.tracking.pose_modes import PoseModes, join_modes
 
 HALF_TURN = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))

@@ -13,11 +13,9 @@ import pytest
 from message_helpers import missing, naming
 from web_visitor import idle_sockets
 
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.io.streams.frame_sources import SourceFrame
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.located_frame import LocatedFrame
+from tactile_loc import Localizer, LocatedFrame, SourceFrame
 from tactile_loc.locate.result.verdict import MEANINGS, Verdict, explain_verdict
+from tactile_loc.plugin import ConfigError
 from tactile_loc.reports import live_server
 from tactile_loc.reports.live_server import Board, LiveServer
 from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape

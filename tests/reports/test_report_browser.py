@@ -15,12 +15,7 @@ from browser_helpers import LOCAL, choose, find, list_errors, list_requests, ope
 from PIL import Image
 from report_helpers import UNFRIENDLY, write_sweep
 
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.table import ExampleTable
-from tactile_loc.io.streams.frame_sources import SourceFrame
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.located_frame import LocatedFrame
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc import ExampleTable, Localizer, LocatedFrame, SourceFrame, Touch, Verdict
 from tactile_loc.reports import write_report
 from tactile_loc.reports.live_server import LiveServer
 from tactile_loc.reports.live_view import describe_frame, make_live_page, render_shape

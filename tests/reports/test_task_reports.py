@@ -10,12 +10,9 @@ from message_helpers import missing
 from PIL import Image
 from report_helpers import UNFRIENDLY, Elements
 
-from tactile_loc.io.approach_files import Approach
+from tactile_loc import Approach, Identification, KnownObject, NextTouch, PoseModes, RatedApproach, Verdict
 from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
-from tactile_loc.locate.identify import Identification, KnownObject
-from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.locate.touch_files import LocatedFile
-from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.planning.next_touch_files import write_next_touch
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.tasks import (
@@ -24,7 +21,6 @@ from tactile_loc.reports.tasks import (
     make_identification_page,
     make_next_touch_page,
 )
-from tactile_loc.tracking.pose_modes import PoseModes
 
 EYE = np.eye(4).tolist()
 

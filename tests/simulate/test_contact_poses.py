@@ -5,12 +5,11 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import is_rigid, make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.metric import PoseGrid
-from tactile_loc.core.runtime.errors import GridError
+from tactile_loc import PoseGrid, load_object
 from tactile_loc.core.sensing.contact import find_lowest_points
 from tactile_loc.core.sensing.gel import Gel
-from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.plugin import GridError
+from tactile_loc.plugin.helpers import is_rigid, make_transform, make_translation, rotation_about
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.simulate.contact_poses import (
     draw_contact_poses,

@@ -5,13 +5,9 @@ import pytest
 import trimesh
 from pose_helpers import random_poses
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.places.places import PATCH_PX
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.core.sensing.noise import make_noise
+from tactile_loc import ObjectModel, PoseMetric, TriangleMesh, make_noise
+from tactile_loc.plugin import ConfigError
+from tactile_loc.plugin.helpers import PATCH_PX, SymmetryGroup, make_transform, rotation_about
 from tactile_loc.simulate.place_training import PlaceProblem, RotatedPoses, move_to_anchors
 from tactile_loc.testing.problems import make_place_training_problem
 

@@ -10,7 +10,6 @@ import pytest
 from message_helpers import naming
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.runtime.errors import (
     ConfigError,
     MissingLibraryError,
@@ -18,8 +17,8 @@ from tactile_loc.core.runtime.errors import (
     PluginLoadError,
     UnknownPluginError,
 )
-from tactile_loc.slots.component import Component
-from tactile_loc.slots.refiner import Refiner
+from tactile_loc.plugin import RefinedPose, Refiner
+from tactile_loc.plugin.helpers import Component
 from tactile_loc.slots.registry import ADDED, SLOTS, Registry, registry, validate_options
 
 HOOK = """

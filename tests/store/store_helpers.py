@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
+from tactile_loc import StageKey, StageStore
 from tactile_loc.store.workspace import Workspace
 
 KEY = StageKey("bank", 1, {"grid": "abc", "step_m": 0.002})

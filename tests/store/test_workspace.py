@@ -9,10 +9,9 @@ from kill_steps import killed_at_every_step
 from message_helpers import missing, naming
 from store_helpers import KEY, Five, contents, flip, folder_of, reference, run_python
 
+from tactile_loc import StageKey, StageStore
 from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.store.artifact import MANIFEST, Artifact
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
 from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 

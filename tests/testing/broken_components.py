@@ -6,15 +6,10 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict
 
+from tactile_loc import ContactShape, PoseGrid, PoseMetric, PosePosterior, TriangleMesh
 from tactile_loc.bases.all_rotations import find_centroid_range
-from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
-from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import PosePosterior
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.plugin import Capabilities, ComponentOptions, ConfigError, DepthFiles, RefinedPose
+from tactile_loc.plugin.helpers import make_transform, make_translation, rotation_about
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
@@ -26,8 +21,6 @@ from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.none import NoRefiner
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.sensors.presets import GelSlim
-from tactile_loc.slots.component import Capabilities
-from tactile_loc.slots.sensor import DepthFiles
 from tactile_loc.testing import contract, encoders, fusers, grids, matchers, refiners, renderers, sensors
 from tactile_loc.testing.problems import ReferenceRenderer, make_plain_object
 

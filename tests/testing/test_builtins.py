@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from press_sets import write_calibrated
 
-from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.runtime.errors import MissingLibraryError, RenderError
+from tactile_loc import TriangleMesh
+from tactile_loc.plugin import Encoder, MissingLibraryError, Renderer, RenderError
+from tactile_loc.plugin.helpers import Component
 from tactile_loc.plugins.grids.whole import WholeGrid
-from tactile_loc.slots.component import Component
-from tactile_loc.slots.encoder import Encoder
 from tactile_loc.slots.registry import BUILT_IN, SLOTS, registry
-from tactile_loc.slots.renderer import Renderer
 from tactile_loc.testing import Check, list_checks, parametrize_with_checks, parametrize_with_properties
 from tactile_loc.testing.problems import CAMERAS, ReferenceRenderer, make_training_problem
 

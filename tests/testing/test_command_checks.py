@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from message_helpers import missing
 
-from tactile_loc.plugin import CommandSpec
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import CommandSpec, registry
 from tactile_loc.testing import list_properties, parametrize_with_checks
 from tactile_loc.testing.running import run_checks
 

@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc import Localizer, PoseMetric, Verdict
 from tactile_loc.core.runtime.errors import FrameError, NoContactError, RecordingError, TouchError
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about
 from tactile_loc.tracking.frame_fusion import fuse_frames, measure_scatter_m, track_frames
 from tactile_loc.tracking.replay import ReplayedFrame, ReplayFrame
 

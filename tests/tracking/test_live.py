@@ -8,18 +8,12 @@ import numpy as np
 import pytest
 from message_helpers import missing
 
-from tactile_loc.core.geometry.rigid import make_translation
-from tactile_loc.core.runtime.errors import GridError, TouchError
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc import Localizer, LocatedFrame, Touch, Tracker, Verdict, read_sensor_track, write_touch
 from tactile_loc.io.json_keys import read_keys
 from tactile_loc.io.streams.frame_sources import ImageFolder, SourceFrame
-from tactile_loc.io.streams.sensor_tracks import read_sensor_track
-from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.located_frame import LocatedFrame
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.plugin import GridError, TouchError
+from tactile_loc.plugin.helpers import make_translation
 from tactile_loc.tracking.live import LIVE, LiveLocator, LiveSummary
-from tactile_loc.tracking.tracker import Tracker
 
 NOTHING = np.full((200, 200), 0.002, np.float32)
 

@@ -11,16 +11,13 @@ import numpy as np
 import pytest
 from message_helpers import missing, naming
 
+from tactile_loc import Localizer, LocatedFrame, Touch, Verdict
 from tactile_loc.core.geometry.lie import rotate_covariance
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.runtime.errors import FrameError, GridError, OutputError, RecordingError, StoreError
-from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import TouchConfig
 from tactile_loc.io.streams.recordings import Recording, RecordingWriter, choose_image_topic, write_recording
 from tactile_loc.io.streams.ros_messages import IMAGE, TF, make_image, make_transforms, read_pose, read_stamp_ns
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.located_frame import LocatedFrame
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 from tactile_loc.tracking.replay import Replay, ReplaySummary
 from tactile_loc.tracking.replay_files import Replayed, ReplayOutput, locate_each_to
 from tactile_loc.tracking.replay_journal import VERSION, open_journal

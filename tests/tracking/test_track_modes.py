@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from track_settings import SETTINGS
 
-from tactile_loc.core.geometry.rigid import invert, make_translation
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc import Localizer, PoseMetric, RobotTouches
+from tactile_loc.plugin.helpers import invert, make_translation
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.simulate.touch_simulation import lower
 from tactile_loc.tracking.track_modes import ModeFilter, SlipPrior

@@ -8,17 +8,13 @@ import pytest
 from message_helpers import naming
 from track_settings import SETTINGS
 
+from tactile_loc import Localizer, PoseMetric, RobotTouches, TrackerOptions, Verdict
 from tactile_loc.core.geometry.lie import compute_pose_errors, move
-from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.tolerance import measure_shape_distances
-from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.evaluation.metrics import compute_nees
-from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.io.options import TrackerOptions
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.plugin import ConfigError, TouchError
+from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.tracking.key_search import KeySearch
 from tactile_loc.tracking.tracked_pose import TrackedPose, TrackTrust

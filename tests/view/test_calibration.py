@@ -3,10 +3,9 @@
 import pytest
 from press_sets import BALL_M, ball_set
 
+from tactile_loc import draw_circle, draw_reading, render_figure
 from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.unlabelled import find_presses
-from tactile_loc.view.calibration import draw_circle, draw_reading
-from tactile_loc.view.pictures import render_figure
 
 BALLS = ball_set(7, px=80)
 

@@ -9,12 +9,10 @@ from matplotlib.figure import Figure
 from message_helpers import missing
 from PIL import Image
 
+from tactile_loc import ContactShape, DrawnScene, SensorGeometry, Touch
 from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.core.runtime.formatting import format_percent
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.locate.result.localization import Agreement
-from tactile_loc.view.drawn_scene import DrawnScene
 from tactile_loc.view.pictures import (
     MOST_TOGETHER,
     MOST_TOUCHES,

@@ -9,10 +9,9 @@ import pytest
 from message_helpers import missing, naming
 from rerun_helpers import read
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
+from tactile_loc import LocatedFrame, Verdict
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
-from tactile_loc.locate.result.located_frame import LocatedFrame
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 from tactile_loc.view.drawn_scene import DEVIATIONS, DrawnScene, DrawnSensor, describe_located
 from tactile_loc.view.rerun_log import RerunLog, require_rerun, write_localization
 

@@ -5,10 +5,9 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh, check_surface
-from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.runtime.errors import ObjectError
+from tactile_loc.plugin.helpers import SymmetryGroup, make_transform, rotation_about, transform_points
 
 SIDES = np.array([0.030, 0.020, 0.012])
 SHIFT = np.array([0.1, -0.2, 0.05])

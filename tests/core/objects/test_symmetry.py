@@ -6,9 +6,8 @@ from message_helpers import naming
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import rotation_angle
-from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.runtime.errors import SymmetryError
+from tactile_loc.plugin.helpers import SymmetryGroup, rotation_angle
 
 CENTRE_M = (0.01, -0.02, 0.03)
 ORDERS = {

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import make_translation
+from tactile_loc import SensorGeometry
 from tactile_loc.core.places.places import (
     BELOW,
     FAR,
@@ -14,10 +14,9 @@ from tactile_loc.core.places.places import (
     make_patches,
     split_patches,
 )
-from tactile_loc.core.places.rotated_patches import TouchBounds, rotate_patches
-from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
+from tactile_loc.plugin import Progress
+from tactile_loc.plugin.helpers import TouchBounds, make_translation, rotate_patches
 from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc.testing.problems import ReferenceRenderer, make_block
 

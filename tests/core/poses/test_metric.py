@@ -4,18 +4,17 @@ import trimesh
 from pose_helpers import random_poses
 from scipy.spatial.distance import cdist
 
-from tactile_loc.core.geometry.rigid import (
+from tactile_loc import ObjectModel, TriangleMesh, load_object
+from tactile_loc.core.poses.metric import SPACING_SAMPLE, PoseGrid, PoseMetric, measure_distances, remove_equivalent
+from tactile_loc.plugin import GridError
+from tactile_loc.plugin.helpers import (
+    SymmetryGroup,
     draw_rotations,
     make_transform,
     make_translation,
     rotation_about,
     transform_points,
 )
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.poses.metric import SPACING_SAMPLE, PoseGrid, PoseMetric, measure_distances, remove_equivalent
-from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.io.meshes.mesh_files import load_object
 
 
 def quadrature(mesh: TriangleMesh) -> tuple[np.ndarray, np.ndarray]:

@@ -5,10 +5,9 @@ import pytest
 import trimesh
 from pose_helpers import random_poses
 
-from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc import ObjectModel
 from tactile_loc.core.poses.pose_errors import PRECISION_M, compute_add_s, compute_adds, measure_pose_errors
+from tactile_loc.plugin.helpers import SymmetryGroup, make_transform, make_translation, rotation_about, transform_points
 
 SHIFT_M = np.array([0.003, -0.004, 0.012])
 LENGTH_M = 0.013

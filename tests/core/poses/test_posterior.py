@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, make_translation, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc import ObjectModel, PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import TIE_NATS, PosePosterior, group_ties, rank_poses
-from tactile_loc.core.runtime.errors import GridError
+from tactile_loc.plugin import GridError
+from tactile_loc.plugin.helpers import draw_rotations, make_transform, make_translation, rotation_about
 from tactile_loc.testing.problems import make_block
 
 

@@ -7,16 +7,7 @@ import pytest
 from message_helpers import naming
 from pose_helpers import random_poses
 
-from tactile_loc.core.geometry.rigid import (
-    draw_rotations,
-    invert,
-    make_transform,
-    make_translation,
-    rotation_about,
-    rotation_angle,
-)
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc import PoseGrid, PoseMetric, PosePosterior
 from tactile_loc.core.poses.priors import (
     GaussianPrior,
     PosteriorPrior,
@@ -26,7 +17,15 @@ from tactile_loc.core.poses.priors import (
     count_touches,
     temper,
 )
-from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.plugin import ConfigError
+from tactile_loc.plugin.helpers import (
+    draw_rotations,
+    invert,
+    make_transform,
+    make_translation,
+    rotation_about,
+    rotation_angle,
+)
 
 
 def posterior_of(obj, count: int = 80, seed: int = 0) -> PosePosterior:

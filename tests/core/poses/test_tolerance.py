@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from pose_helpers import random_poses
 
-from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
-from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.poses.tolerance import Tolerance, measure_shape_distances
-from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.plugin import ConfigError
+from tactile_loc.plugin.helpers import SymmetryGroup, make_transform, make_translation, rotation_about, transform_points
 
 SIZE_M = (0.04, 0.03, 0.02)
 

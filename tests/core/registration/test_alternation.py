@@ -5,14 +5,12 @@ import pytest
 import trimesh
 from press_helpers import moved, pressed, towards, views_of
 
-from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.poses.candidate import Candidate, RefinedPose
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc import PoseMetric, SensorGeometry
 from tactile_loc.core.registration.alternation import ROUNDS, alternate
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.plugin import Candidate, RefinedPose, Refiner
+from tactile_loc.plugin.helpers import invert
 from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.joint import JointRefiner
-from tactile_loc.slots.refiner import Refiner
 from tactile_loc.testing.problems import make_stepped_block
 
 CAMERA = SensorGeometry("orthographic", 96, 72, 5000.0, 5000.0, 48.0, 36.0, 0.010, 0.002)

@@ -5,14 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tactile_loc import ContactShape, GaussianPrior, SensorGeometry, Touch
 from tactile_loc.core.geometry.lie import exponential, move_covariance
-from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation
-from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.core.poses.priors import GaussianPrior
 from tactile_loc.core.registration.estimates import Estimates, PoseFusion, scale
-from tactile_loc.core.sensing.scene import Scene, View
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc.plugin import RefinedPose, Scene, View
+from tactile_loc.plugin.helpers import draw_rotations, invert, make_transform, make_translation
 from tactile_loc.testing.problems import ReferenceRenderer
 
 CAMERA = SensorGeometry("orthographic", 40, 30, 2500.0, 2500.0, 20.0, 15.0, 0.010, 0.002)

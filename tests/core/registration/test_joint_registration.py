@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
+from tactile_loc import Touch
 from tactile_loc.core.geometry.lie import rotate_covariance
-from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.registration.joint_registration import JointRegistration
-from tactile_loc.core.sensing.scene import View
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.plugin import View
+from tactile_loc.plugin.helpers import JointRegistration, invert, make_transform, make_translation, rotation_about
 
 PRESS_M = 1e-3
 TURNS = [rotation_about([1, 0, 0], 0.4) @ rotation_about([0, 0, 1], 0.3), rotation_about([0, 1, 0], np.pi / 2 + 0.3)]

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
+from tactile_loc import ContactShape, SensorGeometry, Touch
 from tactile_loc.core.registration.observations import MILLI, observe
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
 
 CAMERA = SensorGeometry("pinhole", 31, 23, 60.0, 58.0, 15.5, 11.5, 0.02, 0.002)
 

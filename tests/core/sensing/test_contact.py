@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import draw_rotations, make_transform, make_translation, transform_points
-from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc import TriangleMesh, load_object
 from tactile_loc.core.sensing.contact import bring_to_contact, find_lowest_points, group_rotations
-from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc.plugin.helpers import draw_rotations, make_transform, make_translation, transform_points
 
 PROJECT = Path(__file__).parents[3]
 RECTANGLE = (-0.006, 0.010, -0.004, 0.007)

@@ -6,11 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from tactile_loc import ContactShape, SensorGeometry, Touch
 from tactile_loc.core.sensing import gel_surface
 from tactile_loc.core.sensing.gel import Gel, compute_compliance, compute_smoothing, list_wave_numbers, make_solver
 from tactile_loc.core.sensing.gel_surface import deform_gel, find_touching, recover_contact
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.plugins.sensors.presets import GelSightMini, GelSlim
 from tactile_loc.sensors.reading.surface import differentiate
 

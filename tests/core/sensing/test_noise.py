@@ -12,12 +12,11 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 from tactile_loc_cli.options import Noise
 
-from tactile_loc.core.geometry.rigid import is_rigid, rotation_about
-from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc import ContactShape, SensorGeometry
 from tactile_loc.core.sensing.noise import NOISE, TouchNoise, make_noise
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.config import TouchConfig
+from tactile_loc.plugin import ConfigError
+from tactile_loc.plugin.helpers import is_rigid, rotation_about
 
 PRESS_M = 0.002
 

@@ -6,18 +6,14 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import invert
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc import ExampleTable, Localizer, NoContactError, PoseMetric, StageStore, localize_together
 from tactile_loc.core.poses.pose_errors import RIGHT_M
-from tactile_loc.core.runtime.errors import NoContactError
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
 from tactile_loc.evaluation.recall import evaluation as module
 from tactile_loc.evaluation.recall.evaluation import evaluate_recall, make_recall_key
 from tactile_loc.evaluation.recall.examples import DrawnExamples, TouchedExample
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.table import ExampleTable
-from tactile_loc.locate.localizer import Localizer, localize_together
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin.helpers import invert
 
 SETTINGS = {"grid": {"name": "whole", "directions": 300}, "temperature": 0.05, "top": 3}
 COUNT = 3

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
+from tactile_loc import Localizer, write_touch
 from tactile_loc.core.geometry.rigid import axis_angle, rotation_angle
-from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.evaluation.recall.examples import DrawnExamples, LabelledExamples
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc.plugin import ConfigError, TouchError
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from collections import Counter
 import pytest
 import trimesh
 
+from tactile_loc import Localizer, Plan, StageStore
 from tactile_loc.core.runtime.errors import ConfigError, ObjectError, SensorError, UnknownPluginError
 from tactile_loc.evaluation.jobs import do_job
 from tactile_loc.evaluation.sweep import combination as module
@@ -16,9 +17,6 @@ from tactile_loc.evaluation.sweep.combination import (
     list_model_keys,
     order_for_running,
 )
-from tactile_loc.evaluation.sweep.plan import Plan
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.store.store import StageStore
 
 
 def keys(values: dict) -> list[str]:

@@ -12,21 +12,17 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
+from tactile_loc import Localizer, Plan, StageStore, load_object, write_sweep
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
-from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.evaluation.jobs import FinishedJobs, JobOutcome, do_job
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.sweep.combination import choose_touches
-from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, run_sweep
 from tactile_loc.evaluation.sweep.tables import format_summary, read_sweep
 from tactile_loc.evaluation.workers import ClusterError, DaskWorkers, LocalWorkers
 from tactile_loc.io.config import EXACT
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.reports.sweep_figures import write_sweep
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import Progress
 
 distributed, parquet = map(pytest.importorskip, ("distributed", "pyarrow.parquet"))
 

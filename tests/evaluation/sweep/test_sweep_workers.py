@@ -14,6 +14,7 @@ import pytest
 from faulty import install
 from message_helpers import naming
 
+from tactile_loc import ExampleTable, Plan, RunConfig
 from tactile_loc.core.runtime.errors import UnknownPluginError
 from tactile_loc.evaluation.jobs import do_job
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
@@ -27,12 +28,9 @@ from tactile_loc.evaluation.sweep.combination import (
     combine,
     summarise,
 )
-from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.sweep import Sweep, run_sweep
-from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.evaluation.workers import DaskWorkers, LocalWorkers, run_on_dask
-from tactile_loc.io.config import RunConfig
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import registry
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -8,10 +8,8 @@ import pytest
 import trimesh
 from message_helpers import missing, naming
 
-from tactile_loc.core.objects.mesh import TriangleMesh
+from tactile_loc import DEMO_OBJECTS, TriangleMesh, load_object, simplify_mesh
 from tactile_loc.core.runtime.errors import MissingLibraryError, ObjectError, SymmetryError
-from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.meshes.mesh_files import load_object, simplify_mesh
 
 SIDES_M = np.array([0.030, 0.020, 0.012])
 

@@ -5,11 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import make_translation
-from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.core.poses.tolerance import Tolerance
-from tactile_loc.core.sensing.scene import Scene, View
-from tactile_loc.core.sensing.touch import ContactShape, Touch
+from tactile_loc import ContactShape, Tolerance, Touch
 from tactile_loc.locate.hypotheses import LEAST_UNEXPLAINED, NATS_PER_IOU
 from tactile_loc.locate.probability.evidence import (
     FEATURES,
@@ -22,6 +18,8 @@ from tactile_loc.locate.probability.evidence import (
 )
 from tactile_loc.locate.probability.probes import DIRECTIONS
 from tactile_loc.locate.result.localization import Hypothesis
+from tactile_loc.plugin import RefinedPose, Scene, View
+from tactile_loc.plugin.helpers import make_translation
 
 PRESS_M = 1e-3
 SIDES_M = (0.012, 0.008, 0.006)

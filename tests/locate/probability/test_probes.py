@@ -7,12 +7,11 @@ import pytest
 from pose_helpers import random_poses
 from scipy.spatial.transform import Rotation
 
+from tactile_loc import PoseMetric, Tolerance
 from tactile_loc.core.geometry.lie import move
-from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
-from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.locate.probability.probes import BEYOND, DIRECTIONS, place_probes
+from tactile_loc.plugin.helpers import SymmetryGroup
 
 T = random_poses(1, 4)[0]
 

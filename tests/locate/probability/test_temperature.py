@@ -7,10 +7,7 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import make_transform
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.priors import PosteriorPrior
-from tactile_loc.core.runtime.errors import ConfigError, GridError
+from tactile_loc import PoseGrid, PoseMetric, PosteriorPrior, StageStore
 from tactile_loc.locate.localizer import Localizer, compute_posterior_together
 from tactile_loc.locate.probability import temperature as module
 from tactile_loc.locate.probability.temperature import (
@@ -20,7 +17,8 @@ from tactile_loc.locate.probability.temperature import (
     TemperatureScaling,
     fit_temperature_scaling,
 )
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import ConfigError, GridError
+from tactile_loc.plugin.helpers import make_transform
 
 COARSE = {"grid": {"name": "face", "spacing_mm": 8}, "refiner": "none"}
 SCORES = np.array([0.1, 0.5, 0.2, 0.0, -3.0, 0.5], np.float32)

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc import ObjectModel, TriangleMesh
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.locate.result.freedom import AS_WELL, WIDE, explain_as_well, find_as_well, find_freedom
+from tactile_loc.plugin.helpers import SymmetryGroup, invert, make_transform, make_translation, rotation_about
 
 CONTACT_M = np.array([0.0, 0.0, 0.02])
 PLACED = trimesh.creation.box((0.03, 0.02, 0.01)).apply_translation([0.001, 0.002, 0.003])

@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import invert, make_transform
-from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.io.streams.ros_messages import RosPose
-from tactile_loc.locate.localizer import localize_together
-from tactile_loc.locate.result.hypothesis import Hypothesis
-from tactile_loc.tracking.pose_modes import PoseModes
+from tactile_loc import Hypothesis, PoseModes, RosPose, localize_together
+from tactile_loc.plugin import RefinedPose
+from tactile_loc.plugin.helpers import invert, make_transform
 
 
 def random_pose(rng: np.random.Generator) -> np.ndarray:

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import invert, make_translation
+from tactile_loc import Localization, PoseModes, localize_together
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.locate.localizer import localize_together
-from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.result_arrays import write_arrays
+from tactile_loc.plugin.helpers import invert, make_translation
 from tactile_loc.reports import find_result
 from tactile_loc.reports.report import make_page
 from tactile_loc.store.files import write_json
-from tactile_loc.tracking.pose_modes import PoseModes
 
 
 @pytest.fixture(scope="module")

@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import make_transform
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc import ContactShape, Localization, PoseGrid, PoseMetric, PosePosterior, SensorGeometry, Touch
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.io.config import TouchConfig
-from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.result_arrays import find_most_probable, pack_arrays, unpack_posterior, unpack_touches
 from tactile_loc.locate.result.result_json import write_touch
+from tactile_loc.plugin.helpers import make_transform
 
 
 @pytest.fixture

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tactile_loc.core.sensing.touch import Touch
+from tactile_loc import Touch, localize_together
 from tactile_loc.io.shape_pictures import NO_CONTACT, OUTLINE, read_colour
-from tactile_loc.locate.localizer import localize_together
 from tactile_loc.locate.result.result_html import MOST_ROWS, MOST_TOUCHES, SIDE_PX
 
 

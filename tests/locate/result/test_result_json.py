@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 from message_helpers import missing, naming
 
-from tactile_loc import __version__
-from tactile_loc.core.geometry.rigid import transform_points
+from tactile_loc import RunConfig, Verdict, __version__
 from tactile_loc.core.runtime.errors import ConfigError, ResultError
-from tactile_loc.io.config import RunConfig
 from tactile_loc.io.json_keys import read_keys
 from tactile_loc.io.streams.records import read_document, read_versions
 from tactile_loc.locate.probability.conformal import PoseSet
@@ -28,7 +26,7 @@ from tactile_loc.locate.result.result_json import (
     TOUCH,
     read_result,
 )
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.plugin.helpers import transform_points
 from tactile_loc.slots.registry import SLOTS
 
 

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 from locate_helpers import draw_examples, locate_together
 
-from tactile_loc.core.poses.candidate import RefinedPose
-from tactile_loc.core.poses.tolerance import Tolerance
-from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.io.config import RunConfig
+from tactile_loc import Localizer, RunConfig, Tolerance, suggest_next_step
 from tactile_loc.io.options import CERTAIN
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability.outcome_model import load_outcome_model
 from tactile_loc.locate.result.localization import QUANTILES_M, Agreement, Localization
 from tactile_loc.locate.result.verdict import (
@@ -24,7 +20,7 @@ from tactile_loc.locate.result.verdict import (
     judge,
     name_next_step,
 )
-from tactile_loc.planning.next_step import suggest_next_step
+from tactile_loc.plugin import ConfigError, RefinedPose
 
 SENSOR = {"name": "gelsight-mini", "gel": "rigid"}
 RIGHT, OPEN, MISSED = Outcome(0.97, 0.02, 0.01), Outcome(0.6, 0.3, 0.1), Outcome(0.1, 0.2, 0.7)

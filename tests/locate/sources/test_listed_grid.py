@@ -5,16 +5,13 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc import StageStore, load_object
 from tactile_loc.locate.sources import listed_grid as module
 from tactile_loc.locate.sources.listed_grid import ObjectPoseModel, build_bank, build_model
+from tactile_loc.plugin import GridError, Progress, Scene
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
-from tactile_loc.store.store import StageStore
 
 SHARD = 64
 

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc import Localizer, StageKey, StageStore
 from tactile_loc.locate.sources.stored_places import STAGE, STAGE_VERSION, build_places
-from tactile_loc.store.keys import StageKey
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import Progress
 
 FEW = {"name": "whole", "directions": 100}
 

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 from message_helpers import missing, naming
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.poses.posterior import NoPoseLeft, PosePosterior
-from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc import PoseGrid, PoseMetric, PosePosterior
+from tactile_loc.plugin import ConfigError, NoPoseLeft
+from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser
 from tactile_loc.plugins.fusers.product import ProductFuser
 

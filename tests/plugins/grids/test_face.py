@@ -3,11 +3,9 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import is_rigid
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.runtime.errors import GridError
+from tactile_loc import ObjectModel, PoseGrid, PoseMetric, TriangleMesh
+from tactile_loc.plugin import GridError
+from tactile_loc.plugin.helpers import SymmetryGroup, is_rigid
 from tactile_loc.plugins.grids.face import SIDES, FaceGrid, count_turns_alike, find_resting_normal
 
 

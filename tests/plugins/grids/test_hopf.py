@@ -6,20 +6,18 @@ import trimesh
 from message_helpers import naming
 from scipy.spatial import cKDTree
 
+from tactile_loc import ObjectModel, PoseGrid, PoseMetric, SensorGeometry, TriangleMesh
 from tactile_loc.bases.all_rotations import find_centroid_range
-from tactile_loc.core.geometry.rigid import (
+from tactile_loc.plugin import GridError
+from tactile_loc.plugin.helpers import (
+    SymmetryGroup,
+    bring_to_contact,
     draw_rotations,
     is_rigid,
     make_transform,
     rotation_angle,
     rotation_to_quaternion,
 )
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.symmetry import SymmetryGroup
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
-from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.core.sensing.contact import bring_to_contact
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.plugins.grids.hopf import (
     HopfGrid,
     compute_pixel_angles,

@@ -3,11 +3,10 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
-from tactile_loc.core.objects.symmetry import SymmetryGroup
+from tactile_loc import ObjectModel, TriangleMesh
 from tactile_loc.core.places.places import BELOW, FAR, PATCH_PX, PITCH_M, STEP_M
-from tactile_loc.core.runtime.errors import ConfigError, GridError
-from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.plugin import ConfigError, GridError, Progress
+from tactile_loc.plugin.helpers import SymmetryGroup
 from tactile_loc.plugins.grids.whole import WholeGrid, find_distinct_directions, find_flat_directions, make_sphere
 from tactile_loc.testing.problems import CAMERAS, make_block, make_box
 

@@ -1,20 +1,16 @@
 import numpy as np
 import pytest
 
+from tactile_loc import Localizer, load_object
 from tactile_loc.core.places.places import CAMERA
-from tactile_loc.core.places.rotated_patches import find_anchor, rotate_patches
-from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.sources.listed_grid import build_bank, build_model
+from tactile_loc.plugin import Matcher, Progress, Scene, registry
+from tactile_loc.plugin.helpers import find_anchor, rotate_patches
 from tactile_loc.plugins.encoders.pixel import PixelEncoder
 from tactile_loc.plugins.grids.face import FaceGrid
 from tactile_loc.plugins.matchers.dense import DenseMatcher
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.simulate.touch_simulation import simulate_touches
-from tactile_loc.slots.matcher import Matcher
-from tactile_loc.slots.registry import registry
 
 
 def brute_force(queries: np.ndarray, bank: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:

@@ -2,13 +2,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.plugin.helpers import Cloud
+from tactile_loc import PoseMetric, SensorGeometry, Touch
+from tactile_loc.plugin import Candidate, Scene
+from tactile_loc.plugin.helpers import Cloud, make_transform, make_translation, rotation_about
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 
 pytest.importorskip("open3d")

@@ -5,11 +5,9 @@ import pytest
 import trimesh
 from press_helpers import moved, pressed, towards, views_of
 
-from tactile_loc.core.geometry.rigid import invert, make_translation, rotation_about
-from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.sensing.scene import View
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc import PoseMetric, SensorGeometry
+from tactile_loc.plugin import Candidate, View
+from tactile_loc.plugin.helpers import invert, make_translation, rotation_about
 from tactile_loc.plugins.refiners.joint import JointRefiner
 from tactile_loc.testing.problems import make_stepped_block
 

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.bases.cloud_refiner import Cloud
-from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about, transform_points
-from tactile_loc.core.runtime.errors import MissingLibraryError
-from tactile_loc.slots.registry import registry
+from tactile_loc.plugin import MissingLibraryError, registry
+from tactile_loc.plugin.helpers import Cloud, make_transform, make_translation, rotation_about, transform_points
 
 pytest.importorskip("kiss_icp")
 

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.geometry.rigid import make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.candidate import Candidate
-from tactile_loc.core.poses.metric import PoseMetric
-from tactile_loc.core.sensing.contact import bring_to_contact
-from tactile_loc.core.sensing.scene import Scene
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc import PoseMetric, SensorGeometry
+from tactile_loc.plugin import Candidate, Scene
+from tactile_loc.plugin.helpers import bring_to_contact, make_transform, make_translation, rotation_about
 from tactile_loc.plugins.refiners.render.pictures import Pictures, keep_within_reach
 from tactile_loc.plugins.refiners.render.refiner import RenderRefiner
 from tactile_loc.testing.problems import (

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.runtime.errors import RenderError
-from tactile_loc.slots.registry import registry
-from tactile_loc.slots.renderer import Renderer
+from tactile_loc import TriangleMesh
+from tactile_loc.plugin import Renderer, RenderError, registry
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS, make_plate, make_stepped_block
 
 

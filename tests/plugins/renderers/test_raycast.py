@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
-from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.runtime.errors import RenderError
-from tactile_loc.core.sensing.contact import bring_to_contact
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc import SensorGeometry, TriangleMesh
+from tactile_loc.plugin import RenderError
+from tactile_loc.plugin.helpers import bring_to_contact, draw_rotations, make_transform
 
 pytest.importorskip("open3d")
 

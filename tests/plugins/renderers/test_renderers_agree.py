@@ -5,16 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_loc.core.geometry.rigid import draw_rotations, make_transform
-from tactile_loc.core.objects.mesh import TriangleMesh
-from tactile_loc.core.sensing.contact import bring_to_contact
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.io.meshes.mesh_files import load_object
+from tactile_loc import DEMO_OBJECTS, SensorGeometry, TriangleMesh, load_object
+from tactile_loc.plugin import Renderer, registry
+from tactile_loc.plugin.helpers import bring_to_contact, draw_rotations, make_transform
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
-from tactile_loc.slots.registry import registry
-from tactile_loc.slots.renderer import Renderer
 
 MESHES = Path(__file__).parents[4] / "shared" / "data" / "meshes"
 

@@ -18,12 +18,10 @@ from press_sets import (
     write_image,
 )
 
-from tactile_loc.core.runtime.errors import NoContactError, TouchError
-from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.io.touches import read_touch
+from tactile_loc import ContactShape, NoContactError, Touch, read_touch
+from tactile_loc.plugin import TouchError, registry
 from tactile_loc.plugins.sensors.calibrated import CalibratedSensor
 from tactile_loc.sensors.reading.reading import SKIRT
-from tactile_loc.slots.registry import registry
 
 BALLS = ball_set(12)
 PRESS_M = 7e-4

@@ -6,10 +6,9 @@ import pytest
 from message_helpers import naming
 from PIL import Image
 
-from tactile_loc.core.runtime.errors import SensorError
 from tactile_loc.io.sensor_files import _Orthographic, _Pinhole, read_sensor_file
+from tactile_loc.plugin import SensorError, registry
 from tactile_loc.plugins.sensors.file import FileSensor
-from tactile_loc.slots.registry import registry
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "my_sensor.toml"

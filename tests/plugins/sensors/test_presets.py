@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from tactile_loc.core.runtime.errors import SensorError, TouchError
+from tactile_loc.plugin import SensorError, TouchError, registry
 from tactile_loc.plugins.sensors.presets import CurvedDigit, Digit, GelSightMini, GelSlim, Preset
-from tactile_loc.slots.registry import registry
 
 MM = 1e-3
 NAMES = {"gelslim": GelSlim, "gelsight-mini": GelSightMini, "digit": Digit, "digit-curved": CurvedDigit}

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_loc import EstimatorRecipe, SensorGeometry
 from tactile_loc.core.sensing.gel import RIGID, Gel, compute_smoothing, list_wave_numbers, make_solver
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration import gel_fit
 from tactile_loc.sensors.calibration.circles import Circle
 from tactile_loc.sensors.calibration.gel_fit import DEPTHS, BallImage, fit_gel, label_elastic_ball, press_balls
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.surface import differentiate
 
 BALL_M, PITCH_M, PX = 3e-3, 1.2e-4, 140

@@ -8,9 +8,8 @@ import torch
 from message_helpers import naming
 from press_sets import sensor
 
-from tactile_loc.core.runtime.errors import TrainingError
-from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc import EstimatorRecipe, SensorGeometry, StageStore
+from tactile_loc.plugin import Progress, TrainingError
 from tactile_loc.sensors.calibration.labels import LabelledPresses, label_surface
 from tactile_loc.sensors.calibration.outcome import calibrate
 from tactile_loc.sensors.calibration.simulated import SimulatedSensor, simulate_presses
@@ -18,9 +17,7 @@ from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
 from tactile_loc.sensors.optics.simulate import render_touches
 from tactile_loc.sensors.reading.cnn import PLANES, CnnEstimator, GelNetwork
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.slots.encoder import Checkpoints
-from tactile_loc.store.store import StageStore
 
 LAMPS = OPTICS["gelslim"]
 SMALL = {"channels": 8, "epochs": 10, "batch": 4, "rate": 5e-3, "dropout": 0.1}

@@ -7,12 +7,10 @@ import pytest
 from press_sets import TINY, ball_set
 from scipy.ndimage import gaussian_filter
 
+from tactile_loc import EstimatorRecipe, StageStore, calibrate_folder
 from tactile_loc.core.runtime.errors import CalibrationError, TouchError
 from tactile_loc.sensors.calibration.folder import CHECKED, Calibration, read_calibration
-from tactile_loc.sensors.calibration.outcome import calibrate_folder
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.passport import CHECKS, examine_photos
-from tactile_loc.store.store import StageStore
 
 pytest.importorskip("torch")
 BALLS, NEW = ball_set(20, px=80), ball_set(9, px=80, seed=7)

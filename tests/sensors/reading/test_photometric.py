@@ -5,8 +5,7 @@ import pytest
 from message_helpers import naming
 from press_sets import BALL_M, TINY, ball_indentation, ball_set, contact_radius, photographed, places
 
-from tactile_loc.core.runtime.errors import TrainingError
-from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.plugin import Progress, TrainingError
 from tactile_loc.sensors.calibration.labels import Chosen
 from tactile_loc.sensors.calibration.outcome import measure_press
 from tactile_loc.sensors.reading.photometric import FEATURES, SMOOTHINGS_PX, PhotometricEstimator
