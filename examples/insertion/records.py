@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from experiment import Record
 from methods import METHODS
+from scipy.stats import binomtest
 from trials import Trial
 
 from tactile_loc import TactileLocError
 
 NAME = "trials.jsonl"
-Z = 1.96  # of the 95 % intervals
 
 
 class RecordsError(TactileLocError):
@@ -60,12 +60,7 @@ def append_records(path: Path, records: Sequence[Record]) -> None:
 
 def compute_interval(successes: int, count: int) -> tuple[float, float]:
     """Return Wilson's 95 % interval of a share, 0 to 1."""
-    if not count:
-        return 0.0, 1.0
-    share = successes / count
-    middle = (share + Z**2 / (2 * count)) / (1 + Z**2 / count)
-    half = Z / (1 + Z**2 / count) * np.sqrt(share * (1 - share) / count + Z**2 / (4 * count**2))
-    return float(max(0.0, middle - half)), float(min(1.0, middle + half))
+    return binomtest(successes, count).proportion_ci(method="wilson")[:2]
 
 
 def format_table(records: Sequence[Record]) -> str:

@@ -26,7 +26,6 @@ WITHIN_M = (0.5e-3, 1e-3, 5e-3)
 CURVE_M = tuple(1e-4 * np.arange(1, 51))  # 0.1, 0.2, ... 5 mm, for the area under the recall curve
 DIAMETER_SHARES = tuple(0.05 * np.arange(1, 11))  # for the average recall of MSSD
 PROBABILITY_BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-SURE = 1.96  # standard deviations of a normal distribution that hold 95 %
 QUANTILES = {"q25": 0.25, "median": 0.5, "q75": 0.75, "p90": 0.9}
 
 
@@ -153,12 +152,12 @@ def bin_probabilities(table: ExampleTable) -> tuple[ProbabilityBin, ...]:
 
 def compute_wilson_range(successes: int, trials: int) -> tuple[float, float] | None:
     """Return the 95 % confidence interval of a share, 0 to 1, by Wilson's score (1927); None without trials."""
+    from scipy.stats import binomtest
+
     if not trials:
         return None
-    share, z2 = successes / trials, SURE**2
-    middle = (share + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = SURE * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
-    return max(0.0, float(middle - half)), min(1.0, float(middle + half))
+    found = binomtest(successes, trials).proportion_ci(method="wilson")
+    return float(found.low), float(found.high)
 
 
 def find_median(values: Floats) -> float | None:

@@ -58,7 +58,11 @@ def spread_over_surface(
     nearest to the sensor's centre. The weight is then spread over nearby vertices, in proportion to their areas and to
     a Gaussian of `spread_m` metres. The back of a wall gets no weight from its front.
     """
-    fine = split_long_edges(mesh, float(np.sqrt(mesh.face_areas.sum() / PATCHES)))  # for a smooth picture
+    from trimesh import remesh
+
+    split: Any = remesh.subdivide_to_size
+    longest_m = float(np.sqrt(mesh.face_areas.sum() / PATCHES))  # for a smooth picture
+    fine = TriangleMesh(*split(mesh.vertices_m, mesh.faces, longest_m, MOST_SPLITS))
     touched = find_touched_vertices(fine, T_sensor_object, geometry)
     mass = np.bincount(touched, weights, len(fine.vertices_m)).astype(float)
     area = compute_vertex_areas(fine)
@@ -79,34 +83,6 @@ def _spread(mesh: TriangleMesh, mass: Floats, area_m2: Floats, spread_m: float) 
             near, share = np.array([source]), np.ones(1)
         found[near] += mass[source] * share / share.sum()
     return found
-
-
-def split_long_edges(mesh: TriangleMesh, longest_m: float) -> TriangleMesh:
-    """Return the same surface, with edges halved until no edge is longer than `longest_m` metres."""
-    vertices, faces = mesh.vertices_m, mesh.faces
-    for _ in range(MOST_SPLITS):
-        split = _split_longest(vertices, faces, longest_m)
-        if split is None:
-            break
-        vertices, faces = split
-    places, same = np.unique(vertices, axis=0, return_inverse=True)  # two faces may halve a common edge separately
-    return TriangleMesh(places, same.ravel()[faces])
-
-
-def _split_longest(vertices_m: Floats, faces: Ints, longest_m: float) -> tuple[Floats, Ints] | None:
-    """Halve the longest edge of every face if it exceeds `longest_m` metres. Return None if no edge does."""
-    ends = np.stack([faces, np.roll(faces, -1, axis=1)], -1)
-    lengths = np.linalg.norm(vertices_m[ends[..., 0]] - vertices_m[ends[..., 1]], axis=-1)
-    long = lengths.max(axis=1) > longest_m
-    if not long.any():
-        return None
-    # The longest edge goes from a to b. The face on its other side halves it at the same point, now or later.
-    first = lengths[long].argmax(axis=1)
-    a, b, c = (faces[long][np.arange(len(first)), (first + k) % 3] for k in range(3))
-    edges, where = np.unique(np.sort(np.stack([a, b], 1), axis=1), axis=0, return_inverse=True)
-    middle = len(vertices_m) + where.ravel()
-    halves = [np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)]
-    return np.concatenate([vertices_m, vertices_m[edges].mean(axis=1)]), np.concatenate([faces[~long], *halves])
 
 
 def compute_vertex_areas(mesh: TriangleMesh) -> Floats:

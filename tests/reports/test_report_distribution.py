@@ -12,7 +12,6 @@ from tactile_loc.reports.distribution import (
     count_yaws,
     find_touched_vertices,
     map_sides,
-    split_long_edges,
     spread_over_surface,
 )
 
@@ -34,17 +33,6 @@ def centre(flat_camera) -> np.ndarray:
     """The middle of the sensor's surface, in metres."""
     x0, x1, y0, y1 = flat_camera.rectangle
     return np.array([0.5 * (x0 + x1), 0.5 * (y0 + y1), flat_camera.standoff_m])
-
-
-def test_a_refined_surface_has_the_same_shape_and_no_long_edges(rod):
-    fine = split_long_edges(rod, 0.002)
-    a, b, c = np.moveaxis(fine.triangles_m, 1, 0)
-    assert max(np.linalg.norm(u - v, axis=1).max() for u, v in ((a, b), (b, c), (c, a))) <= 0.002
-    assert fine.face_areas.sum() == pytest.approx(rod.face_areas.sum(), rel=1e-9)
-    assert trimesh.Trimesh(fine.vertices_m, fine.faces, process=False).is_watertight
-    assert len(fine.faces) < 40_000  # a split of each triangle into four would make 98 000
-    same = split_long_edges(rod, 1.0)
-    assert (same.vertices_m.shape, same.faces.shape) == (rod.vertices_m.shape, rod.faces.shape)
 
 
 def test_vertices_of_a_ball_have_its_areas_and_normals():

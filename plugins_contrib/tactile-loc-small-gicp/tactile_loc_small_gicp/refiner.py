@@ -55,10 +55,8 @@ class SmallGicpRefiner(CloudRefiner):
         """Register two clouds. If either is None, return a registration without a motion."""
         if moving is None or fixed is None:
             return Registration()
-        result = small_gicp.align(
-            fixed.points, moving.points, fixed.tree, np.eye(4), "GICP",
-            max_correspondence_distance=reach_mm, max_iterations=self.options.iterations,
-        )  # fmt: skip
+        limits = {"max_correspondence_distance": reach_mm, "max_iterations": self.options.iterations}
+        result = small_gicp.align(fixed.points, moving.points, fixed.tree, np.eye(4), "GICP", **limits)
         T_mm = np.array(result.T_target_source)
         if result.num_inliers == 0 or not is_rigid(T_mm, RIGID):
             return Registration(iterations=int(result.iterations))

@@ -81,8 +81,8 @@ def table(levels: tuple[int, ...], asked: int) -> str:
         hopf = hopf_rotations(level)
         for name, R in (("hopf", hopf), ("super-fibonacci", super_fibonacci_rotations(len(hopf)))):
             found = spread_of(R, asked)
-            cells = [f"{np.degrees(a):.2f}°" for a in (found.covering_rad, found.mean_rad, found.closest_rad,
-                                                      found.neighbour_rad)]  # fmt: skip
+            angles_rad = found.covering_rad, found.mean_rad, found.closest_rad, found.neighbour_rad
+            cells = [f"{np.degrees(angle_rad):.2f}°" for angle_rad in angles_rad]
             cells.insert(1, f"{found.covering_rad / least_covering(len(R)):.2f}")
             lines.append(f"| {len(R)} | {name} | {' | '.join(cells)} |")
     return "\n".join(lines)

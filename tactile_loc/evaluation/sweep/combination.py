@@ -35,9 +35,8 @@ ROW_VERSION = 3  # increase it if the same combination gets other results
 STATISTICS = ("median_mm", "low_mm", "high_mm", "mean_mm", "median_share")
 ERRORS = tuple(f"{line}_{what}" for line in LINES for what in STATISTICS)
 COVERAGES = tuple(f"coverage_{100 * level:.0f}" for level in LEVELS)
-LINE_STAGES = {  # the stages that the pose of a line needs; those before refinement for all other lines
-    "reg-1": protocol.STAGES, "chosen": protocol.TIMED, "reg-10": protocol.TIMED
-}  # fmt: skip
+# the stages that the pose of a line needs; those before refinement for all other lines
+LINE_STAGES = {"reg-1": protocol.STAGES, "chosen": protocol.TIMED, "reg-10": protocol.TIMED}
 SEARCHED = tuple(stage for stage in protocol.STAGES if stage != "refine")
 TIMED_LINES = ("best-1", "reg-1", "chosen")
 TIMES = (
