@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from tactile_loc.io.options import HypothesisOptions as HypothesisOptions
     from tactile_loc.io.options import SearchOptions as SearchOptions
     from tactile_loc.io.options import TrackerOptions as TrackerOptions
+    from tactile_loc.io.sensor_files import write_sensor_file as write_sensor_file
     from tactile_loc.io.shape_pictures import paint_shape as paint_shape
     from tactile_loc.io.streams.frame_sources import FrameTaker as FrameTaker
     from tactile_loc.io.streams.frame_sources import SourceFrame as SourceFrame

@@ -7,7 +7,7 @@ earlier touches. The other is the verdict of the search that found the pose.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +23,15 @@ Floats = NDArray[np.float64]
 class TrackedPose(LocatedFrame):
     """The object's pose at one frame of a track.
 
-    The poses have `covariances` (K, 6, 6), as in RefinedPose. If their probabilities sum to less than 1, the rest is
-    the probability that the pose is elsewhere. Before the first touch, there is no pose. The poses are in the frame of
-    the first sensor in contact or, without contact, of the one that was in contact last.
+    If the probabilities of the poses sum to less than 1, the rest is the probability that the pose is elsewhere. Before
+    the first touch, there is no pose. The poses are in the frame of the first sensor in contact or, without contact, of
+    the one that was in contact last.
 
     `verdict` is as in a run, with the tracker's threshold of a poor fit (`tracker.least_iou`). Without contact, poses
     are predicted. `searched` is true if poses were searched nearby or on the whole object, which takes longer.
     `slipped` is true at the frame whose touch shows that the object has moved.
     """
 
-    covariances: Floats = field(default_factory=lambda: np.empty((0, 6, 6)))
     searched: bool = False
     slipped: bool = False
 

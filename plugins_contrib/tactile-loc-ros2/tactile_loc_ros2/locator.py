@@ -18,6 +18,7 @@ from tactile_loc import (
     decode_image,
     touch_from_image,
 )
+from tactile_loc.plugin.helpers import make_contact_cloud
 
 from tactile_loc_ros2.frames import NS, read_stamp_ns
 
@@ -29,10 +30,21 @@ RESET_S = 1.0  # stamps that go back farther begin another track
 
 @dataclass(frozen=True, eq=False)
 class LocatedImage:
-    """The result of one image: the pose in the sensor's frame, and in a track, whether the object has just slipped."""
+    """The result of one image, with poses in the sensor's frame, and its touch; None without contact.
+
+    In a track, `slipped` states whether the object has just moved.
+    """
 
     located: LocatedFrame
+    touch: Touch | None = None
     slipped: bool = False
+
+    @property
+    def contact_points_m(self) -> Floats:
+        """The surface in contact (N, 3), metres, in the sensor's frame."""
+        if self.touch is None:
+            return np.empty((0, 3))
+        return make_contact_cloud(self.touch.contact_shape, self.touch.geometry, walls=False)[0]
 
 
 class ImageLocator:
@@ -57,7 +69,8 @@ class ImageLocator:
 
         Raises NoContactError if nothing touches the gel, and TactileLocError if the image cannot be read.
         """
-        touch = touch_from_image(decode_image(image), self.localizer.sensor, self._press_depth_m)
+        asked, pixels = self.localizer.config.touch, decode_image(image)
+        touch = touch_from_image(pixels, self.localizer.sensor, self._press_depth_m, unit=asked.unit, kind=asked.kind)
         return replace(touch, T_base_sensor=T_base_sensor)
 
     def locate(self, image: Any, T_base_sensor: Floats | None = None) -> LocatedImage:
@@ -77,14 +90,15 @@ class ImageLocator:
 
     def _locate(self, image: Any, T_base_sensor: Floats | None) -> LocatedImage:
         if self._tracker is None:
-            return LocatedImage(self._estimator(self.read_touch(image, T_base_sensor)))
+            touch = self.read_touch(image, T_base_sensor)
+            return LocatedImage(self._estimator(touch), touch)
         try:
             touch, says = self.read_touch(image, T_base_sensor), ""
         except NoContactError as error:
             touch, says = None, str(error)
         tracker, time_s = self._follow_clock(read_stamp_ns(image.header) / NS)
         pose = tracker.update(time_s, touch, np.eye(4) if T_base_sensor is None else T_base_sensor)
-        return LocatedImage(replace(pose, says=says), pose.slipped)
+        return LocatedImage(replace(pose, says=says), touch, pose.slipped)
 
     def _follow_clock(self, time_s: float) -> tuple[Tracker, float]:
         """Return the tracker and the time of an image, seconds; a reset clock begins another track."""

@@ -1,5 +1,6 @@
 """ROS messages made from poses and results. This module does not import ROS: it is given the message types."""
 
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -19,6 +20,9 @@ POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TEXT, FLAG, NUMBER = "std_msgs/msg/String", "std_msgs/msg/Bool", "std_msgs/msg/Float64"
 MARKER, MARKERS = "visualization_msgs/msg/Marker", "visualization_msgs/msg/MarkerArray"
+DETECTIONS, POINTS = "vision_msgs/msg/Detection3DArray", "sensor_msgs/msg/PointCloud2"
+CAMERA = "sensor_msgs/msg/CameraInfo"
+FLOAT32 = 7  # of sensor_msgs/PointField
 
 SPHERE, MESH_RESOURCE, TRIANGLE_LIST = 2, 10, 11  # of visualization_msgs/Marker
 ADD, DELETE_ALL = 0, 3
@@ -69,11 +73,37 @@ class MessageMaker:
 
         The covariance (6, 6) is as in RefinedPose. If it is None, the message's first number is -1.
         """
-        pose = RosPose.of(T, covariance)
-        inner = self.find_type("geometry_msgs/msg/PoseWithCovariance")(
-            pose=self._make_pose(pose), covariance=np.array(pose.covariance)
-        )
-        return self.find_type(POSE_WITH_COVARIANCE)(header=self.make_header(stamp_ns, frame), pose=inner)
+        header, pose = self.make_header(stamp_ns, frame), self._make_uncertain_pose(T, covariance)
+        return self.find_type(POSE_WITH_COVARIANCE)(header=header, pose=pose)
+
+    def make_detections(self, located: LocatedFrame, obj: ObjectModel, stamp_ns: int, frame: str) -> Any:
+        """Return the vision_msgs Detection3DArray of a result in `frame`: one detection, or none without a pose.
+
+        Each pose is a hypothesis with its probability as score, and its covariance as in a PoseWithCovariance. The box
+        encloses the object at the most probable pose.
+        """
+        header, listed = self.make_header(stamp_ns, frame), list[Any]()
+        if (T := located.T_sensor_object) is not None:
+            low, high = obj.mesh.vertices_m.min(axis=0), obj.mesh.vertices_m.max(axis=0)
+            middle = T @ make_transform(np.eye(3), (low + high) / 2)
+            box = self.find_type("vision_msgs/msg/BoundingBox3D")(
+                center=self._make_pose(RosPose.of(middle, None)), size=self._make_vector("Vector3", high - low)
+            )
+            results = self._make_hypotheses(located, obj.name)
+            listed.append(self.find_type("vision_msgs/msg/Detection3D")(header=header, results=results, bbox=box))
+        return self.find_type(DETECTIONS)(header=header, detections=listed)
+
+    def make_points(self, points_m: Floats, stamp_ns: int, frame: str) -> Any:
+        """Return the sensor_msgs PointCloud2 of points (N, 3), metres, in `frame`, with the fields x, y, z."""
+        rows = np.ascontiguousarray(points_m, "<f4").reshape(-1, 3)
+        fields = [
+            self.find_type("sensor_msgs/msg/PointField")(name=name, offset=4 * k, datatype=FLOAT32, count=1)
+            for k, name in enumerate("xyz")
+        ]
+        return self.find_type(POINTS)(
+            header=self.make_header(stamp_ns, frame), height=1, width=len(rows), fields=fields, is_bigendian=False,
+            point_step=12, row_step=12 * len(rows), data=array("B", rows.tobytes()), is_dense=True,
+        )  # fmt: skip
 
     def make_transforms(self, T_parent_child: Mapping[tuple[str, str], Floats], stamp_ns: int) -> Any:
         """Return the tf2_msgs TFMessage of transforms (4, 4), metres, with keys (parent, child)."""
@@ -115,6 +145,22 @@ class MessageMaker:
     def make_markers(self, markers: Sequence[Any]) -> Any:
         """Return a visualization_msgs MarkerArray."""
         return self.find_type(MARKERS)(markers=list(markers))
+
+    def _make_hypotheses(self, located: LocatedFrame, name: str) -> list[Any]:
+        known = dict(enumerate(located.covariances)) or {0: located.covariance}
+        listed = []
+        for k, (T, p) in enumerate(zip(located.T_sensor_object_modes, located.probabilities, strict=True)):
+            C = known.get(k)
+            hypothesis = self.find_type("vision_msgs/msg/ObjectHypothesis")(class_id=name, score=float(p))
+            pose = self._make_uncertain_pose(T, None if C is None or np.isnan(C).any() else C)
+            kind = self.find_type("vision_msgs/msg/ObjectHypothesisWithPose")
+            listed.append(kind(hypothesis=hypothesis, pose=pose))
+        return listed
+
+    def _make_uncertain_pose(self, T: Floats, covariance: Floats | None) -> Any:
+        pose = RosPose.of(T, covariance)
+        kind = self.find_type("geometry_msgs/msg/PoseWithCovariance")
+        return kind(pose=self._make_pose(pose), covariance=np.array(pose.covariance))
 
     def _make_pose(self, pose: RosPose) -> Any:
         return self.find_type("geometry_msgs/msg/Pose")(

@@ -14,17 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import Localizer, LocatedFrame, TactileLocError, Verdict
-from tactile_loc.plugin import ConfigError, MissingLibraryError
+from tactile_loc.plugin import ConfigError, MissingLibraryError, TouchError
 
 from tactile_loc_ros2.frames import LiveFrames, read_stamp_ns
 from tactile_loc_ros2.images import ImageQueue
 from tactile_loc_ros2.locator import ImageLocator
 from tactile_loc_ros2.messages import (
+    CAMERA,
     COMPRESSED_IMAGE,
+    DETECTIONS,
     FLAG,
     IMAGE,
     MARKERS,
     NUMBER,
+    POINTS,
     POSE,
     POSE_WITH_COVARIANCE,
     TEXT,
@@ -45,7 +48,8 @@ NO_ROS = (
 )
 QUEUE = 10  # messages of a publisher
 TF_QUEUE = 100
-RETRY_S = 0.02  # between two lookups of the sensor's pose
+RETRY_S = 0.02  # between two lookups of the sensor's pose or of its camera
+CAMERA_WAIT_S = 30.0  # longest wait for the first CameraInfo
 WARN_S = 1.0  # least time between two warnings
 
 
@@ -113,6 +117,8 @@ class TactileLocNode:
         self._send_verdict = advertise(TEXT, self._options.verdict_topic)
         self._send_result = advertise(TEXT, "~/result")
         self._send_slipped = advertise(FLAG, "~/slipped") if self._options.track else None
+        self._send_detections = advertise(DETECTIONS, "~/detections") if self._options.detections else None
+        self._points = self._node.create_publisher(ros.find_type(POINTS), "~/touch_points", QUEUE)
         self._shown = self._node.create_publisher(ros.find_type(MARKERS), "~/markers", QUEUE) if self._markers else None
         self._send_located_pose = advertise(POSE_WITH_COVARIANCE, "~/located_pose")
         self._send_located_verdict = advertise(TEXT, "~/located_verdict")
@@ -160,6 +166,9 @@ class TactileLocNode:
             found = self._locator.locate(placed.image, placed.T_base_sensor)
             seconds = time.perf_counter() - start
             self._report(found.located, placed.image, placed.T_base_sensor, found.slipped, seconds)
+            if self._points.get_subscription_count():
+                stamp_ns, frame = read_stamp_ns(placed.image.header), self._name_sensor(placed.image)
+                self._points.publish(self._maker.make_points(found.contact_points_m, stamp_ns, frame))
         for image, error in self._images.expire(time.monotonic()):
             self._report(LocatedFrame.of_error(error), image, None, slipped=False)
 
@@ -194,6 +203,9 @@ class TactileLocNode:
         T = located.T_sensor_object
         if T is not None and self._locator.is_published(located):
             send(self._maker.make_pose_with_covariance(T, located.covariance, stamp_ns, frame))
+        if self._send_detections:
+            obj = self._locator.localizer.object
+            self._send_detections(self._maker.make_detections(located, obj, stamp_ns, frame))
         if self._send_transforms and T is not None and self._options.allows_tf(located.verdict):
             edge = (frame, self._options.object_frame)
             self._send_transforms(self._maker.make_transforms({edge: T}, stamp_ns))
@@ -281,12 +293,26 @@ def declare_options(node: Any, given: Mapping[str, Any]) -> NodeOptions:
     return NodeOptions.of(values)
 
 
-def build(options: NodeOptions) -> tuple[ImageLocator, list[Localizer]]:
+def wait_for_camera(node: Any, ros: Ros, topic: str) -> Any:
+    """Return the next sensor_msgs CameraInfo on a topic. Raises TouchError if none comes within CAMERA_WAIT_S."""
+    came: list[Any] = []
+    subscription = node.create_subscription(ros.find_type(CAMERA), topic, came.append, ros.newest)
+    end_s = time.monotonic() + CAMERA_WAIT_S
+    while not came:
+        if time.monotonic() > end_s:
+            raise TouchError(f"no CameraInfo has arrived on {topic} within {CAMERA_WAIT_S:.0f} s; check the topic")
+        import_ros("rclpy").spin_once(node, timeout_sec=RETRY_S)
+    node.destroy_subscription(subscription)
+    return came[0]
+
+
+def build(options: NodeOptions, camera: Any = None) -> tuple[ImageLocator, list[Localizer]]:
     """Make the locator, and the localizers of the objects to identify.
 
-    Models are built and functions compiled now, which may take minutes.
+    `camera` is a CameraInfo, or None, as in `NodeOptions.make_localizers`. Models are built and functions compiled now,
+    which may take minutes.
     """
-    localizer, others = options.make_localizers()
+    localizer, others = options.make_localizers(camera)
     for one in (localizer, *others):
         one.localize(one.simulate(1)[0])
     library = [localizer, *others] if others else []
@@ -304,7 +330,8 @@ def run(words: Sequence[str]) -> None:
     node = rclpy.create_node(NODE)
     try:
         options = declare_options(node, given)
-        locator, library = build(options)
+        topic = options.camera_info_topic
+        locator, library = build(options, wait_for_camera(node, ros, topic) if topic else None)
         signals.install_signal_handlers(signals.SignalHandlerOptions.ALL)
         TactileLocNode(node, ros, options, locator, library)
         node.get_logger().info(f"locating {locator.localizer.object.name} in the images on {options.image_topic}")

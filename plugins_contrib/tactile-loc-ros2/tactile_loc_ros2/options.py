@@ -2,12 +2,14 @@
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Self
 
-from tactile_loc import Localizer, RunConfig, Verdict
-from tactile_loc.plugin import ConfigError
+import numpy as np
+from tactile_loc import Localizer, RunConfig, Verdict, write_sensor_file
+from tactile_loc.plugin import ConfigError, SensorGeometry
 
 ROS_ARGUMENTS, END_OF_ROS_ARGUMENTS = "--ros-args", "--"
 OTHER_SPELLINGS = {"press_depth_mm": ("--press-depth",)}
@@ -32,6 +34,7 @@ class NodeOptions:
     units: str = option("auto", "unit of the mesh files", ("auto", "m", "mm", "cm", "inch"))
     sensor: str = option("", "sensor name, sensor file (.toml), or calibration folder")
     image_topic: str = option("", "images of the gel, or contact shapes (32FC1, metres)")
+    camera_info_topic: str = option("", "CameraInfo of depths, which replaces the sensor's image size and rays")
     compressed: bool = option(False, "the images are CompressedImage")
     config: str = option("", "configuration file (.toml) of tactile-loc, for all settings that are not listed here")
     tolerance: str = option("", "largest error of a pose that counts as right in the verdict, such as 0.5mm,2deg")
@@ -49,6 +52,7 @@ class NodeOptions:
     press_depth_mm: float = option(0.0, "press depth, mm; 0: measured in each image")
     continuous: bool = option(True, "locate each image; otherwise, only services locate")
     track: bool = option(False, "track the object from image to image")
+    detections: bool = option(False, "publish all poses as vision_msgs/Detection3DArray")
     markers: bool = option(True, "publish markers for RViz")
     mesh_resource: str = option("", "URI of a mesh that RViz displays; by default, the node sends triangles")
     mesh_scale: float = option(1.0, "metres per unit of mesh_resource")
@@ -90,15 +94,20 @@ class NodeOptions:
         """Return whether a pose with this verdict goes to TF."""
         return self.tf == ANY or (self.tf == Verdict.CERTAIN.value and verdict is Verdict.CERTAIN)
 
-    def make_localizers(self) -> tuple[Localizer, list[Localizer]]:
-        """Return the object's localizer, and those of the library's objects. Raises TactileLocError for bad input."""
+    def make_localizers(self, camera: Any = None) -> tuple[Localizer, list[Localizer]]:
+        """Return the object's localizer, and those of the library's objects.
+
+        `camera` is the sensor_msgs CameraInfo of depths, or None for the sensor's own camera. Raises TactileLocError
+        for bad input.
+        """
         settings: dict[str, Any] = {}
         units: Any
         name, units, symmetry = self.object, self.units, "auto"
         if self.config:
             settings = RunConfig.from_toml(self.config).model_dump(mode="json")
             configured = settings.pop("object")
-            settings.pop("touch")
+            touch = settings.pop("touch")
+            settings["touch"] = {key: touch[key] for key in ("unit", "kind")}  # of depths
             if not name:
                 name, units, symmetry = (configured[key] for key in ("path", "units", "symmetry"))
         if self.sensor:
@@ -109,7 +118,12 @@ class NodeOptions:
             settings["confidence"] = self.confidence
         settings["store"] = self.store or None
         localizer = Localizer.create(name, units=units, symmetry=symmetry, **settings)
-        return localizer, [Localizer.create(path, units=units, **settings) for path in self.library]
+        with TemporaryDirectory() as folder:  # localizers read the file only now
+            if camera is not None:
+                file = write_sensor_file(Path(folder) / "camera.toml", read_camera(camera, localizer.sensor.geometry))
+                settings["sensor"] = choose_sensor(str(file))
+                localizer = Localizer.create(name, units=units, symmetry=symmetry, **settings)
+            return localizer, [Localizer.create(path, units=units, **settings) for path in self.library]
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
@@ -127,6 +141,20 @@ def choose_sensor(name: str) -> str | dict[str, Any]:
     if name.endswith(".toml"):
         return {"name": "file", "options": {"path": name}}
     return {"name": "calibrated", "options": {"path": name}} if Path(name).is_dir() else name
+
+
+def read_camera(message: Any, geometry: SensorGeometry) -> SensorGeometry:
+    """Return a sensor with the image size and the rays of a sensor_msgs CameraInfo; the gel stays as it is.
+
+    The rays are those of rectified images (P), or of the camera (K) if P is zero. Raises SensorError for a CameraInfo
+    that is not calibrated.
+    """
+    P, K = np.reshape(message.p, (3, 4))[:, :3], np.reshape(message.k, (3, 3))
+    used = P if P[0, 0] else K
+    return replace(
+        geometry, camera="pinhole", width_px=int(message.width), height_px=int(message.height), fx=float(used[0, 0]),
+        fy=float(used[1, 1]), cx=float(used[0, 2]), cy=float(used[1, 2]),
+    )  # fmt: skip
 
 
 def read_text(one: Field[Any], text: str) -> Any:

@@ -204,4 +204,8 @@ def view_in_base(found: Localization) -> LocatedFrame:
     poses = [one.T_base_object for one in found.hypotheses if one.T_base_object is not None]
     if len(poses) < len(found.hypotheses):
         return located
-    return replace(located, T_sensor_object_modes=np.stack(poses), covariance=located.base_covariance)
+    turned = [one.base_covariance for one in found.hypotheses]
+    return replace(
+        located, T_sensor_object_modes=np.stack(poses), covariance=located.base_covariance,
+        covariances=np.stack([np.full((6, 6), np.nan) if C is None else C for C in turned]),
+    )  # fmt: skip

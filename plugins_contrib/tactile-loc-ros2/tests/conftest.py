@@ -1,5 +1,6 @@
 """Fixtures: real ROS 2 message types from rosbags, a localizer that is built fast, and images of it."""
 
+from array import array
 from collections.abc import Callable
 from dataclasses import fields
 from functools import cache, partial
@@ -10,6 +11,14 @@ import numpy as np
 import pytest
 from tactile_loc import Localizer
 
+# Definitions of vision_msgs 4, which rosbags lacks
+VISION = {
+    "ObjectHypothesis": "string class_id\nfloat64 score\n",
+    "ObjectHypothesisWithPose": "ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n",
+    "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+    "Detection3D": "std_msgs/Header header\nObjectHypothesisWithPose[] results\nBoundingBox3D bbox\nstring id\n",
+    "Detection3DArray": "std_msgs/Header header\nDetection3D[] detections\n",
+}
 CONTACT_FREE_M = 0.002
 NS = 1_000_000_000
 
@@ -20,6 +29,8 @@ class MessageTypes:
     def __init__(self, store: str) -> None:
         typesys = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed: pip install rosbags")
         self.store = typesys.get_typestore(typesys.Stores[store])
+        for name, text in VISION.items():
+            self.store.register(typesys.get_types_from_msg(text, f"vision_msgs/msg/{name}"))
 
     def find(self, name: str) -> Callable[..., Any]:
         """Return what makes a message of a type."""
@@ -27,8 +38,9 @@ class MessageTypes:
             return SimpleNamespace
         return partial(self._make, name)
 
-    def _make(self, name: str, **given: Any) -> Any:
+    def _make(self, name: str, /, **given: Any) -> Any:
         kind = self.store.types[name]
+        given = {key: np.array(value) if isinstance(value, array) else value for key, value in given.items()}
         unknown = given.keys() - {one.name for one in fields(kind)}
         assert not unknown, f"{name} has no fields {unknown}"
         return kind(**{field: given.get(field, self._default(kind_of)) for field, kind_of in self._fields(name)})

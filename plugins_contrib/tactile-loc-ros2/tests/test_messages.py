@@ -67,6 +67,44 @@ def located(verdict: Verdict | None = Verdict.AMBIGUOUS, count: int = 3, covaria
     return LocatedFrame(verdict, poses, shares, covariance, 0.9)
 
 
+def test_a_detection_has_all_poses_with_their_covariances(maker, each_types, localizer):
+    other = T.copy()
+    other[0, 3] = 0.5
+    C = np.stack([np.eye(6), np.full((6, 6), np.nan)])
+    found = LocatedFrame(Verdict.AMBIGUOUS, np.stack([T, other]), np.array([0.7, 0.3]), C[0], covariances=C)
+    array = each_types.pass_on(maker.make_detections(found, localizer.object, STAMP_NS, "base"))
+    (one,) = array.detections
+    assert (array.header.frame_id, one.header.frame_id, read_stamp_ns(one.header)) == ("base", "base", STAMP_NS)
+    assert [result.hypothesis.class_id for result in one.results] == [localizer.object.name] * 2
+    assert [result.hypothesis.score for result in one.results] == [0.7, 0.3]
+    assert [result.pose.pose.position.x for result in one.results] == [0.001, 0.5]
+    np.testing.assert_array_equal(np.reshape(one.results[0].pose.covariance, (6, 6)), np.eye(6))
+    assert one.results[1].pose.covariance[0] == -1
+
+
+def test_the_box_of_a_detection_encloses_the_object(maker, each_types, localizer):
+    (one,) = each_types.pass_on(maker.make_detections(located(count=1), localizer.object, 0, "base")).detections
+    q, c, s = one.bbox.center.orientation, one.bbox.center.position, one.bbox.size
+    vertices_m = localizer.object.mesh.vertices_m @ T[:3, :3].T + T[:3, 3] - [c.x, c.y, c.z]
+    turned = np.abs([rotate([-q.x, -q.y, -q.z, q.w], v) for v in vertices_m])
+    np.testing.assert_allclose(turned.max(axis=0), [s.x / 2, s.y / 2, s.z / 2], atol=1e-7)
+
+
+def test_a_result_without_a_pose_detects_nothing(maker, each_types, localizer):
+    assert not each_types.pass_on(maker.make_detections(located(count=0), localizer.object, 0, "gel")).detections
+
+
+def test_a_cloud_has_its_points(maker, each_types):
+    points_m = np.arange(12.0).reshape(4, 3) / 8
+    cloud = each_types.pass_on(maker.make_points(points_m, STAMP_NS, "gel"))
+    assert [(f.name, f.offset, f.datatype == f.FLOAT32, f.count) for f in cloud.fields] == [
+        ("x", 0, True, 1), ("y", 4, True, 1), ("z", 8, True, 1)
+    ]  # fmt: skip
+    assert (cloud.height, cloud.width, cloud.point_step, cloud.row_step) == (1, 4, 12, 48)
+    np.testing.assert_array_equal(cloud.data.view("<f4").reshape(4, 3), points_m)
+    assert each_types.pass_on(maker.make_points(points_m[:0], 0, "gel")).width == 0
+
+
 def names(array) -> list[tuple[str, int]]:
     return [(one.ns, one.id) for one in array.markers]
 

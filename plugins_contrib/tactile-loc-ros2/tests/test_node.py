@@ -114,6 +114,44 @@ def test_the_result_states_a_possible_slide_and_turn(start, make_image, depth_m)
     assert json.loads(ros.last("~/result").data)["freedom"] is None
 
 
+def test_a_result_lists_all_hypotheses_in_the_base_frame(start, make_image, localizer, send_frames):
+    touch = localizer.simulate(1, seed=2)[0]
+    expected = localizer.localize(touch)
+    ros = start(
+        estimator=lambda seen: LocatedFrame.of(localizer.localize(seen)), base_frame="base", detections=True,
+        press_depth_m=touch.press_depth_m,
+    )  # fmt: skip
+    send_frames(ros, 0, 0.25)
+    ros.receive("/gel/image", make_image(touch.contact_shape.depth_m, stamp_ns=0))
+    (one,) = ros.last("~/detections").detections
+    assert one.header.frame_id == "base"
+    assert len(one.results) == len(expected.hypotheses) > 1
+    for result, hypothesis in zip(one.results, expected.hypotheses, strict=True):
+        assert result.pose.pose.position.x == pytest.approx(hypothesis.T_sensor_object[0, 3] + 0.25, abs=1e-6)
+        if hypothesis.covariance is not None:
+            np.testing.assert_allclose(
+                np.reshape(result.pose.covariance, (6, 6)), hypothesis.covariance, rtol=1e-3, atol=1e-12
+            )
+    assert "~/detections" not in start().published
+
+
+def test_the_points_of_a_touch_are_on_the_touched_object(start, make_image, localizer):
+    touch = localizer.simulate(1, seed=2)[0]
+    ros = start(press_depth_m=touch.press_depth_m)
+    ros.receive("/gel/image", make_image(touch.contact_shape.depth_m))
+    cloud = ros.last("~/touch_points")
+    points_m = cloud.data.view("<f4").reshape(-1, 3).astype(float)
+    assert len(points_m) == (touch.contact_shape.contact & touch.geometry.observed_mask).sum()
+    T = np.linalg.inv(touch.T_sensor_object)
+    distances_m = measure_distances_m(localizer.object.mesh, points_m @ T[:3, :3].T + T[:3, 3])
+    assert np.quantile(distances_m, 0.9) < 1e-4
+
+
+def measure_distances_m(mesh, points_m) -> np.ndarray:
+    trimesh = pytest.importorskip("trimesh")
+    return trimesh.proximity.closest_point(trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False), points_m)[1]
+
+
 def test_markers_are_made_only_for_a_display(start, make_image, depth_m):
     ros = start()
     ros.displays = 0

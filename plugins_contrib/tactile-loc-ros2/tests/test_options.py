@@ -2,10 +2,19 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from tactile_loc import TactileLocError, Verdict
 
-from tactile_loc_ros2.options import LISTS, OPTIONS, NodeOptions, choose_sensor, make_parser, split_arguments
+from tactile_loc_ros2.options import (
+    LISTS,
+    OPTIONS,
+    NodeOptions,
+    choose_sensor,
+    make_parser,
+    read_camera,
+    split_arguments,
+)
 
 LEAST = {"object": "pin", "sensor": "gelslim", "image_topic": "/gel"}
 
@@ -80,17 +89,34 @@ def test_a_sensor_may_be_a_name_a_file_or_a_folder(tmp_path):
     assert choose_sensor(str(tmp_path))["name"] == "calibrated"
 
 
+def test_camera_info_replaces_the_rays_of_the_sensor(types):
+    make = types.find("sensor_msgs/msg/CameraInfo")
+    K = np.array([300.0, 0, 60, 0, 310, 50, 0, 0, 1])
+    message = types.pass_on(make(width=120, height=100, k=K))
+    localizer, others = NodeOptions(**{**LEAST, "library": ("head",)}).make_localizers(message)
+    for one in (localizer, *others):
+        camera = one.sensor.geometry
+        assert (camera.shape, camera.fx, camera.fy, camera.cx, camera.cy) == ((100, 120), 300, 310, 60, 50)
+        assert (camera.standoff_m, camera.max_depth_m) == pytest.approx((25e-3, 2e-3))
+    P = np.array([280.0, 0, 61, 0, 0, 290, 51, 0, 0, 0, 1, 0])
+    rectified = read_camera(types.pass_on(make(width=120, height=100, k=K, p=P)), localizer.sensor.geometry)
+    assert (rectified.fx, rectified.fy, rectified.cx, rectified.cy) == (280, 290, 61, 51)
+    with pytest.raises(TactileLocError, match="fx"):
+        NodeOptions(**LEAST).make_localizers(types.pass_on(make(width=120, height=100)))
+
+
 def test_a_configuration_gives_all_other_settings(tmp_path):
     file = tmp_path / "run.toml"
     file.write_text(
         'temperature = 1e-3\n[object]\npath = "pin"\n[sensor]\nname = "digit"\n[grid]\nname = "face"\nspacing_mm = 8\n'
-        "[tracker]\nmodes = 3\n"
+        '[tracker]\nmodes = 3\n[touch]\nkind = "indentation"\n'
     )
     options = NodeOptions(config=str(file), image_topic="/gel", tolerance="0.5mm,2deg", confidence=0.99)
     localizer, library = options.make_localizers()
     config = localizer.config
     assert (config.object.path, config.sensor.name, config.tracker.modes, library) == ("pin", "digit", 3, [])
     assert config.grid.options["spacing_mm"] == 8
+    assert config.touch.kind == "indentation"
     assert config.tolerance.distance_m == pytest.approx(5e-4)
     assert config.confidence == 0.99
     other, _ = replace(options, object="head", sensor="gelslim").make_localizers()

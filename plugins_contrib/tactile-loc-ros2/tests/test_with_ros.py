@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tactile_loc import Localizer, Touch, localize_together
+from tactile_loc.plugin import SensorGeometry
 
 from tactile_loc_ros2.frames import NS
 from tactile_loc_ros2.messages import MessageMaker
@@ -49,17 +50,18 @@ class Client:
 
     def __init__(self) -> None:
         from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-        from sensor_msgs.msg import Image
+        from sensor_msgs.msg import CameraInfo, Image, PointCloud2
         from std_msgs.msg import Bool, Float64, String
         from visualization_msgs.msg import MarkerArray
 
         self.node = rclpy.create_node("client")
         self.got: dict[str, list[Any]] = defaultdict(list)
         self._images = self.node.create_publisher(Image, "/gel/image", 1)
-        self._image = Image
+        self._image, self._info = Image, CameraInfo
+        self._infos = self.node.create_publisher(CameraInfo, "/gel/camera_info", 1)
         topics = {
             "/object/pose": PoseWithCovarianceStamped, "/object/verdict": String, "/tactile_loc/result": String,
-            "/tactile_loc/markers": MarkerArray, "/tactile_loc/slipped": Bool,
+            "/tactile_loc/touch_points": PointCloud2, "/tactile_loc/markers": MarkerArray, "/tactile_loc/slipped": Bool,
             "/tactile_loc/located_pose": PoseWithCovarianceStamped, "/tactile_loc/next_touch_pose": PoseStamped,
             "/tactile_loc/next_touch_nats": Float64,
         }  # fmt: skip
@@ -72,6 +74,11 @@ class Client:
         image = self._image(height=h, width=w, encoding="32FC1", step=4 * w, data=data)
         image.header.frame_id, image.header.stamp.sec = "gel", stamp_s
         self._images.publish(image)
+
+    def send_camera(self, geometry: SensorGeometry) -> None:
+        info = self._info(width=geometry.width_px, height=geometry.height_px)
+        info.k = np.array([geometry.fx, 0, geometry.cx, 0, geometry.fy, geometry.cy, 0, 0, 1])
+        self._infos.publish(info)
 
     def wait(self, done: Callable[[], Any], limit_s: float = ANSWER_S, again: Callable[[], None] | None = None) -> None:
         """Spin until something is done; call `again` every half a second."""
@@ -131,7 +138,7 @@ def test_an_image_gets_a_pose_and_a_verdict(start, client, depth_m, localizer):
     process = start("--image-topic", "/gel/image")
     client.wait(lambda: client.got["/object/pose"], START_S, lambda: client.send_image(depth_m, 5))
     pose = client.got["/object/pose"][0]
-    others = ("/object/verdict", "/tactile_loc/markers", "/tactile_loc/result")
+    others = ("/object/verdict", "/tactile_loc/markers", "/tactile_loc/result", "/tactile_loc/touch_points")
     client.wait(lambda: all(client.got[topic] for topic in others))
     assert (pose.header.frame_id, pose.header.stamp.sec) == ("gel", 5)
     touch = localizer.simulate(1, seed=2)[0]
@@ -143,8 +150,25 @@ def test_an_image_gets_a_pose_and_a_verdict(start, client, depth_m, localizer):
     assert client.got["/object/verdict"][0].data == result["verdict"]
     assert result["freedom"]["others"] >= 0
     assert client.got["/tactile_loc/markers"][0].markers[1].ns == "object"
+    cloud = client.got["/tactile_loc/touch_points"][0]
+    z_m = np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.width, 3)[:, 2]
+    assert cloud.header.frame_id == "gel"
+    assert z_m.min() == pytest.approx(touch.geometry.standoff_m, abs=3e-4)  # the node measures the press
     process.send_signal(signal.SIGINT)
     assert process.wait(ANSWER_S) == 0, process.stderr.read()
+
+
+def test_camera_info_gives_the_camera_of_depths(start, client):
+    small = Localizer.create("pin", sensor={"name": "gelslim", "options": {"image_size_px": (160, 160)}})
+    (touch,) = small.simulate(1, seed=2)
+    start("--image-topic", "/gel/image", "--camera-info-topic", "/gel/camera_info")
+
+    def send() -> None:
+        client.send_camera(small.sensor.geometry)
+        client.send_image(touch.contact_shape.depth_m, 5)
+
+    client.wait(lambda: client.got["/tactile_loc/result"], START_S, send)
+    assert json.loads(client.got["/tactile_loc/result"][0].data)["verdict"]  # an image of another size has none
 
 
 def test_services_locate_touches_and_suggest_the_next(start, client, depth_m):

@@ -50,7 +50,8 @@ class LocatedFrame:
 
     `verdict` rates the first pose; it is None for a frame that cannot be read. If there is no pose, `says` gives the
     reason. `T_sensor_object_modes` (K, 4, 4), metres, are the modes' poses, the most probable first, with
-    `probabilities` (K,). `covariance` (6, 6), as in RefinedPose, belongs to the first pose; None if unknown.
+    `probabilities` (K,) and `covariances` (K, 6, 6), as in RefinedPose. Unknown covariances are NaN, or all are left
+    out. `covariance` (6, 6) is that of the first pose; None if unknown.
     `imprint_iou`, 0 to 1, states how well the first pose explains the touch; NaN without a touch. `seconds` is the time
     to locate the frame; NaN if not measured. `freedom` is what the touches leave open about the first pose; None if it
     is unknown, as in a track.
@@ -70,6 +71,7 @@ class LocatedFrame:
     time_s: float = math.nan
     T_base_object: Floats | None = None
     base_covariance: Floats | None = None
+    covariances: Floats = field(default_factory=lambda: np.empty((0, 6, 6)))
 
     @classmethod
     def of(cls, localization: Localization) -> LocatedFrame:
@@ -87,6 +89,7 @@ class LocatedFrame:
             freedom=localization.freedom,
             T_base_object=best.T_base_object,
             base_covariance=best.base_covariance,
+            covariances=stack_covariances(one.covariance for one in localization.hypotheses),
         )
 
     @classmethod
@@ -152,8 +155,16 @@ class LocatedFrame:
 
     def view_from(self, T_other_sensor: Floats) -> LocatedFrame:
         """Return the same poses in another sensor's frame; T_other_sensor is (4, 4), metres."""
-        C = None if self.covariance is None else rotate_covariance(self.covariance, T_other_sensor[:3, :3])
-        return replace(self, T_sensor_object_modes=T_other_sensor @ self.T_sensor_object_modes, covariance=C)
+        T, R = T_other_sensor @ self.T_sensor_object_modes, T_other_sensor[:3, :3]
+        C = None if self.covariance is None else rotate_covariance(self.covariance, R)
+        turned = stack_covariances(rotate_covariance(one, R) for one in self.covariances)
+        return replace(self, T_sensor_object_modes=T, covariance=C, covariances=turned)
+
+
+def stack_covariances(covariances: Iterable[Floats | None]) -> Floats:
+    """Return covariances as (K, 6, 6); an unknown covariance is NaN."""
+    known = [np.full((6, 6), np.nan) if one is None else one for one in covariances]
+    return np.array(known).reshape(-1, 6, 6)
 
 
 def count_frames(verdicts: Iterable[Verdict | None]) -> dict[str, int]:

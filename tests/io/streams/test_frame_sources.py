@@ -262,10 +262,10 @@ def test_a_video_plays_until_it_ends(film, tmp_path):
 
 def test_a_camera_settles_first_and_stays_open_until_it_is_closed(capture, monkeypatch):
     monkeypatch.setattr(capture, "images", 10**6)
-    monkeypatch.setattr(frame_sources, "SETTLES_S", 0.02)
+    monkeypatch.setattr(frame_sources, "SETTLES_S", 0.2)
     taker = FrameTaker(Camera("0"))
     first, second = taker.take(), taker.take()
-    assert second.number > first.number > 1
+    assert second.number > first.number > 0
     assert capture.released == 0
     taker.close()
     assert capture.released == 1
