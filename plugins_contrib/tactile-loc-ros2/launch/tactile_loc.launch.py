@@ -23,12 +23,9 @@ def start_node(context: LaunchContext) -> list[Any]:
 
     chosen = {one.name: read_text(one, get(one.name)) for one in OPTIONS if get(one.name) != UNSET}
     files = [get("params_file")] if get("params_file") != UNSET else []
-    return [
-        Node(
-            package="tactile_loc_ros2", executable="tactile-loc-ros2", name=get("name") or "tactile_loc",
-            namespace=get("namespace"), parameters=[*files, *([chosen] if chosen else [])], output="screen",
-        )
-    ]  # fmt: skip
+    program = {"package": "tactile_loc_ros2", "executable": "tactile-loc-ros2", "output": "screen"}
+    named = {"name": get("name") or "tactile_loc", "namespace": get("namespace")}
+    return [Node(**program, **named, parameters=[*files, *([chosen] if chosen else [])])]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -56,9 +56,13 @@ class ImageLocator:
     """
 
     def __init__(
-        self, localizer: Localizer, press_depth_m: float | None = None, estimator: Estimator | None = None,
-        required: Verdict | None = None, track: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        localizer: Localizer,
+        press_depth_m: float | None = None,
+        estimator: Estimator | None = None,
+        required: Verdict | None = None,
+        track: bool = False,
+    ) -> None:
         self.localizer, self.required = localizer, required
         self._press_depth_m, self._estimator = press_depth_m, estimator or self._localize
         self._tracker = Tracker(localizer, live=True) if track else None
@@ -92,10 +96,12 @@ class ImageLocator:
         if self._tracker is None:
             touch = self.read_touch(image, T_base_sensor)
             return LocatedImage(self._estimator(touch), touch)
+        touch: Touch | None = None
+        says = ""
         try:
-            touch, says = self.read_touch(image, T_base_sensor), ""
+            touch = self.read_touch(image, T_base_sensor)
         except NoContactError as error:
-            touch, says = None, str(error)
+            says = str(error)
         tracker, time_s = self._follow_clock(read_stamp_ns(image.header) / NS)
         pose = tracker.update(time_s, touch, np.eye(4) if T_base_sensor is None else T_base_sensor)
         return LocatedImage(replace(pose, says=says), touch, pose.slipped)

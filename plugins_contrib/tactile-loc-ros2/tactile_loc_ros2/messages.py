@@ -32,9 +32,12 @@ DEVIATIONS = 2.0  # standard deviations of the ellipsoid's half axes
 LEAST_AXIS_M = 1e-5  # RViz does not display markers without extent
 OPAQUE, TRANSPARENT = 0.9, 0.2
 COLOURS = {
-    Verdict.CERTAIN: (0.1, 0.7, 0.2), Verdict.AMBIGUOUS: (1.0, 0.65, 0.0), Verdict.POOR_FIT: (0.85, 0.1, 0.1),
-    Verdict.NOT_FOUND: (0.5, 0.5, 0.5), Verdict.NO_CONTACT: (0.4, 0.6, 0.9),
-}  # fmt: skip
+    Verdict.CERTAIN: (0.1, 0.7, 0.2),
+    Verdict.AMBIGUOUS: (1.0, 0.65, 0.0),
+    Verdict.POOR_FIT: (0.85, 0.1, 0.1),
+    Verdict.NOT_FOUND: (0.5, 0.5, 0.5),
+    Verdict.NO_CONTACT: (0.4, 0.6, 0.9),
+}
 BLUE = (0.2, 0.4, 1.0)
 
 
@@ -100,10 +103,11 @@ class MessageMaker:
             self.find_type("sensor_msgs/msg/PointField")(name=name, offset=4 * k, datatype=FLOAT32, count=1)
             for k, name in enumerate("xyz")
         ]
+        layout = {"height": 1, "width": len(rows), "point_step": 12, "row_step": 12 * len(rows)}
+        data, header = array("B", rows.tobytes()), self.make_header(stamp_ns, frame)
         return self.find_type(POINTS)(
-            header=self.make_header(stamp_ns, frame), height=1, width=len(rows), fields=fields, is_bigendian=False,
-            point_step=12, row_step=12 * len(rows), data=array("B", rows.tobytes()), is_dense=True,
-        )  # fmt: skip
+            header=header, fields=fields, data=data, is_bigendian=False, is_dense=True, **layout
+        )
 
     def make_transforms(self, T_parent_child: Mapping[tuple[str, str], Floats], stamp_ns: int) -> Any:
         """Return the tf2_msgs TFMessage of transforms (4, 4), metres, with keys (parent, child)."""
@@ -126,17 +130,23 @@ class MessageMaker:
         return self._make_vector("Point", xyz_m)
 
     def make_marker(
-        self, header: Any, name: str, kind: int, number: int, T: Floats, scale_m: Sequence[float],
-        colour: Sequence[float], **more: Any,
-    ) -> Any:  # fmt: skip
+        self,
+        header: Any,
+        name: str,
+        kind: int,
+        number: int,
+        T: Floats,
+        scale_m: Sequence[float],
+        colour: Sequence[float],
+        **more: Any,
+    ) -> Any:
         """Return a visualization_msgs Marker at a pose (4, 4), metres.
 
         `kind` is the marker's type, `scale_m` are three factors or lengths, and `colour` is red, green, blue, alpha.
         """
-        return self.find_type(MARKER)(
-            header=header, ns=name, id=number, type=kind, action=ADD, pose=self._make_pose(RosPose.of(T, None)),
-            scale=self._make_vector("Vector3", scale_m), color=self._make_colour(colour), **more,
-        )  # fmt: skip
+        pose, scale = self._make_pose(RosPose.of(T, None)), self._make_vector("Vector3", scale_m)
+        named = {"header": header, "ns": name, "id": number, "type": kind, "action": ADD}
+        return self.find_type(MARKER)(**named, pose=pose, scale=scale, color=self._make_colour(colour), **more)
 
     def make_deletion(self, header: Any) -> Any:
         """Return the visualization_msgs Marker that deletes all markers of its topic."""

@@ -37,7 +37,7 @@ from tactile_loc_ros2.messages import (
     MessageMaker,
 )
 from tactile_loc_ros2.options import LISTS, NEVER, OPTIONS, NodeOptions, make_parser, split_arguments
-from tactile_loc_ros2.touches import Reply, TouchSet, describe_freedom, round_known, view_in_base
+from tactile_loc_ros2.touches import Reply, TouchSet, describe_located, round_known, view_in_base
 
 Floats = NDArray[np.float64]
 
@@ -138,9 +138,12 @@ class TactileLocNode:
     def _serve(self, ros: Ros) -> None:
         trigger = ros.find_type("std_srvs/srv/Trigger")
         served: Mapping[str, Callable[[], Reply]] = {
-            "add_touch": self._add_touch, "clear": self._touches.clear, "locate": self._locate_touches,
-            "identify": self._touches.identify, "next_touch": self._suggest_touch,
-        }  # fmt: skip
+            "add_touch": self._add_touch,
+            "clear": self._touches.clear,
+            "locate": self._locate_touches,
+            "identify": self._touches.identify,
+            "next_touch": self._suggest_touch,
+        }
         for name, serve in served.items():
             self._node.create_service(trigger, f"~/{name}", Service(serve))
 
@@ -264,13 +267,8 @@ class Service:
 
 def describe_result(located: LocatedFrame, stamp_ns: int, frame: str, slipped: bool, seconds: float) -> str:
     """Return the result of an image as JSON, in SI units."""
-    T = located.T_sensor_object
-    return json.dumps({
-        "stamp_ns": stamp_ns, "frame": frame, "verdict": located.verdict and located.verdict.value,
-        "says": located.says, "probability": round_known(located.probability),
-        "imprint_iou": round_known(located.imprint_iou), "freedom": describe_freedom(located.freedom),
-        "T_frame_object": None if T is None else T.tolist(), "slipped": slipped, "seconds": round_known(seconds),
-    })  # fmt: skip
+    measured = {"says": located.says, "slipped": slipped, "seconds": round_known(seconds)}
+    return json.dumps({"stamp_ns": stamp_ns, **describe_located(located, frame), **measured})
 
 
 def declare_options(node: Any, given: Mapping[str, Any]) -> NodeOptions:

@@ -150,11 +150,9 @@ def read_camera(message: Any, geometry: SensorGeometry) -> SensorGeometry:
     that is not calibrated.
     """
     P, K = np.reshape(message.p, (3, 4))[:, :3], np.reshape(message.k, (3, 3))
-    used = P if P[0, 0] else K
-    return replace(
-        geometry, camera="pinhole", width_px=int(message.width), height_px=int(message.height), fx=float(used[0, 0]),
-        fy=float(used[1, 1]), cx=float(used[0, 2]), cy=float(used[1, 2]),
-    )  # fmt: skip
+    (fx, _, cx), (_, fy, cy), _ = (P if P[0, 0] else K).tolist()
+    width, height = int(message.width), int(message.height)
+    return replace(geometry, camera="pinhole", width_px=width, height_px=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def read_text(one: Field[Any], text: str) -> Any:
@@ -174,10 +172,8 @@ def read_text(one: Field[Any], text: str) -> Any:
 
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line. Options that were not given keep their defaults."""
-    parser = argparse.ArgumentParser(
-        prog="tactile-loc-ros2", allow_abbrev=False,
-        description="Locate an object in images of the gel. Arguments after --ros-args go to ROS.",
-    )  # fmt: skip
+    says = "Locate an object in images of the gel. Arguments after --ros-args go to ROS."
+    parser = argparse.ArgumentParser(prog="tactile-loc-ros2", allow_abbrev=False, description=says)
     for one in OPTIONS:
         names = (f"--{one.name.replace('_', '-')}", *OTHER_SPELLINGS.get(one.name, ()))
         keys: dict[str, Any] = {"dest": one.name, "default": one.default, "help": one.metadata["help"]}

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from tactile_loc import (
     Approach,
-    Freedom,
     Localization,
     Localizer,
     LocatedFrame,
@@ -65,9 +64,13 @@ class TouchSet:
     """
 
     def __init__(
-        self, localizer: Localizer, library: Sequence[Localizer] = (), approaches: str = "", approach_count: int = 200,
+        self,
+        localizer: Localizer,
+        library: Sequence[Localizer] = (),
+        approaches: str = "",
+        approach_count: int = 200,
         most: int = 8,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._localizer, self._library, self._most = localizer, library, most
         self._approaches, self._approach_count = approaches, approach_count
         self._touches: list[Touch] = []
@@ -128,10 +131,8 @@ class TouchSet:
         self._stamps_ns.append(stamp_ns)
         self._found, self.frame = None, frame
         contact_mm2 = 1e6 * float(touch.contact_shape.contact.sum()) * touch.geometry.pixel_pitch_m**2
-        return Reply.of(
-            touches=len(self), name=name, stamp_ns=stamp_ns, contact_mm2=round(contact_mm2, 3),
-            press_depth_mm=round(1e3 * touch.press_depth_m, 4),
-        )  # fmt: skip
+        sizes = {"contact_mm2": round(contact_mm2, 3), "press_depth_mm": round(1e3 * touch.press_depth_m, 4)}
+        return Reply.of(touches=len(self), name=name, stamp_ns=stamp_ns, **sizes)
 
     def _require_found(self) -> Localization:
         """Return the result of all touches, located now if that was not done yet."""
@@ -144,15 +145,15 @@ class TouchSet:
     def _locate(self) -> Reply:
         found = self._require_found()
         located = view_in_base(found)
-        T, C = located.T_sensor_object, located.covariance
-        reply = Reply.of(
-            frame=self.frame, verdict=found.verdict.value, probability=round_known(found.probability_within()),
-            imprint_iou=round_known(found.best.imprint_iou), touches=len(self), poses=len(found.hypotheses),
-            T_frame_object=None if T is None else T.tolist(), covariance=None if C is None else C.tolist(),
-            freedom=describe_freedom(found.freedom),
-            outliers=[touch.name for touch in found.outliers], next_step=suggest_next_step(found),
-        )  # fmt: skip
-        return replace(reply, found=found)
+        says = describe_located(located, self.frame) | {
+            "probability": round_known(found.probability_within()),
+            "covariance": None if located.covariance is None else located.covariance.tolist(),
+            "touches": len(self),
+            "poses": len(found.hypotheses),
+            "outliers": [touch.name for touch in found.outliers],
+            "next_step": suggest_next_step(found),
+        }
+        return replace(Reply.of(**says), found=found)
 
     def _identify(self) -> Reply:
         if not self._library:
@@ -162,21 +163,25 @@ class TouchSet:
         answer = identify(self._touches, self._library)
         best = answer.best
         listed = [{"name": one.name, "probability": round(one.probability, 4)} for one in answer.objects[:MOST_LISTED]]
-        return Reply.of(
-            verdict=answer.verdict.value, object=None if best is None else best.name, objects=listed,
-            none=round(answer.none, 4), touches=len(self),
-        )  # fmt: skip
+        found = {"verdict": answer.verdict.value, "object": None if best is None else best.name}
+        return Reply.of(**found, objects=listed, none=round(answer.none, 4), touches=len(self))
 
     def _suggest(self) -> Reply:
         found = self._require_found()
         chosen = choose_next_touch(found, self._list_approaches(found))
         best = chosen.best
         reply = Reply.of(
-            frame=self.frame, name=best.approach.name, T_frame_sensor=best.approach.T_base_sensor.tolist(),
-            information_nats=round(best.information, 4), entropy_nats=round(best.entropy, 4),
-            meets=round(best.meets, 4), travel_m=best.approach.travel_m, verdict=found.verdict.value,
-            compared=len(chosen.ranked), out_of_reach=len(chosen.out_of_reach),
-        )  # fmt: skip
+            frame=self.frame,
+            name=best.approach.name,
+            T_frame_sensor=best.approach.T_base_sensor.tolist(),
+            information_nats=round(best.information, 4),
+            entropy_nats=round(best.entropy, 4),
+            meets=round(best.meets, 4),
+            travel_m=best.approach.travel_m,
+            verdict=found.verdict.value,
+            compared=len(chosen.ranked),
+            out_of_reach=len(chosen.out_of_reach),
+        )
         return replace(reply, found=found, suggested=best)
 
     def _list_approaches(self, found: Localization) -> list[Approach]:
@@ -190,9 +195,20 @@ def round_known(number: float | None) -> float | None:
     return None if number is None or not math.isfinite(number) else round(float(number), 4)
 
 
-def describe_freedom(freedom: Freedom | None) -> dict[str, Any] | None:
-    """Return what touches leave open as JSON values: in words, and as in result.json; None if it is unknown."""
-    return None if freedom is None else {"says": str(freedom), **freedom.to_json()}
+def describe_located(located: LocatedFrame, frame: str) -> dict[str, Any]:
+    """Return a result whose poses are in `frame` as JSON values, in SI units; None stands for what is unknown.
+
+    `freedom` is stated in words, and as in result.json.
+    """
+    T, freedom = located.T_sensor_object, located.freedom
+    return {
+        "frame": frame,
+        "verdict": located.verdict and located.verdict.value,
+        "probability": round_known(located.probability),
+        "imprint_iou": round_known(located.imprint_iou),
+        "freedom": None if freedom is None else {"says": str(freedom), **freedom.to_json()},
+        "T_frame_object": None if T is None else T.tolist(),
+    }
 
 
 def view_in_base(found: Localization) -> LocatedFrame:
@@ -205,7 +221,6 @@ def view_in_base(found: Localization) -> LocatedFrame:
     if len(poses) < len(found.hypotheses):
         return located
     turned = [one.base_covariance for one in found.hypotheses]
-    return replace(
-        located, T_sensor_object_modes=np.stack(poses), covariance=located.base_covariance,
-        covariances=np.stack([np.full((6, 6), np.nan) if C is None else C for C in turned]),
-    )  # fmt: skip
+    covariances = np.stack([np.full((6, 6), np.nan) if C is None else C for C in turned])
+    first = located.base_covariance
+    return replace(located, T_sensor_object_modes=np.stack(poses), covariance=first, covariances=covariances)
