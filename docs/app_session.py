@@ -30,6 +30,9 @@ from tactile_loc.store.store import StageStore
 
 PICTURES = Path(__file__).parent / "images"
 DESKTOP, PHONE = (1440, 987), (390, 844)  # pixels
+BUTTON = "[...document.querySelectorAll('button:not([role=tab])')].find(one => one.innerText.includes(arguments[0]))"
+DRAWER, CARD = '.mantine-Paper-root[style*="position: fixed"]', "#card"
+HANDLE = f"{DRAWER} .mantine-ScrollArea-content > div > div:first-child"
 GRAB = 0.6  # where the arrow is grabbed, share of its length
 
 
@@ -58,9 +61,8 @@ class Visitor:
 
     def click(self, text: str) -> None:
         """Press the button with a text."""
-        find = "return [...document.querySelectorAll('button')].find(b => b.innerText.includes(arguments[0]))"
-        wait_until(lambda: self.browser.execute_script(find, text), f"there is no button {text!r}")
-        self.browser.execute_script("arguments[0].click()", self.browser.execute_script(find, text))
+        wait_until(lambda: self.browser.execute_script(f"return {BUTTON}", text), f"there is no button {text!r}")
+        self.browser.execute_script(f"{BUTTON}.click()", text)
 
     def click_text(self, text: str) -> None:
         """Click on a heading."""
@@ -72,8 +74,7 @@ class Visitor:
 
     def scroll_to(self, text: str) -> None:
         """Scroll to the button with a text."""
-        find = "[...document.querySelectorAll('button')].find(b => b.innerText.includes(arguments[0])).scrollIntoView()"
-        self.browser.execute_script(find, text)
+        self.browser.execute_script(f"{BUTTON}.scrollIntoView()", text)
 
     def open_tab(self, text: str) -> None:
         """Show the tab with a text."""
@@ -149,15 +150,26 @@ class Visitor:
         self.browser.execute_script(close)
         time.sleep(1.5)
 
-    def find_canvas(self) -> tuple[float, float, float, float]:
-        """Return the left, top, width and height of the view, pixels."""
+    def find_box(self, selector: str) -> tuple[float, float, float, float]:
+        """Return the left, top, width and height of the largest element that a selector finds, pixels."""
         script = (
-            "const all = [...document.querySelectorAll('canvas')].map(c => c.getBoundingClientRect());"
+            "const all = [...document.querySelectorAll(arguments[0])].map(one => one.getBoundingClientRect());"
             "const r = all.sort((a, b) => b.width * b.height - a.width * a.height)[0];"
             "return [r.left, r.top, r.width, r.height]"
         )
-        left, top, width, height = self.browser.execute_script(script)
+        left, top, width, height = self.browser.execute_script(script, selector)
         return left, top, width, height
+
+    def toggle_drawer(self) -> None:
+        """Open or close the drawer of the controls on a phone."""
+        heights = [self.find_box(DRAWER)[3]]
+        self.browser.execute_script("document.querySelector(arguments[0]).click()", HANDLE)
+
+        def rests() -> bool:
+            heights.append(self.find_box(DRAWER)[3])
+            return abs(heights[-1] - heights[0]) > 0.3 * PHONE[1] and heights[-1] == heights[-2]
+
+        wait_until(rests, "the drawer does not move", pause_s=0.3)
 
 
 def wait_until(is_done: Callable[[], Any], problem: str, limit_s: float = 120.0, pause_s: float = 0.05) -> None:
@@ -183,7 +195,7 @@ def find_arrow(page: VisitorPage, visitor: Visitor) -> tuple[NDArray[np.float64]
 
 def project(page: VisitorPage, visitor: Visitor, point_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the pixel (2,) of the browser's window at which a point (3,), metres, of the view appears."""
-    camera, (left, top, width, height) = page.client.camera, visitor.find_canvas()
+    camera, (left, top, width, height) = page.client.camera, visitor.find_box("canvas")
     forward = np.asarray(camera.look_at) - camera.position
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])

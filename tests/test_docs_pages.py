@@ -42,6 +42,12 @@ README, REPORTS, TROUBLE = map(read_page, ("README.md", "reports.md", "troublesh
 FACE = {"grid": {"name": "face", "spacing_mm": 8.0}}
 
 
+NAV = re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2])
+LOOKED_UP = {"other-tools.md", "cli.md", "conventions.md", "files.md", "platforms.md"}  # their tables come first
+FIRST_SCREEN = 30  # lines of a page that are visible before a reader scrolls
+SHOWN = re.compile(r" *(```|!\[|<img|<picture)")
+
+
 def ours(page: str) -> list[list[str]]:
     """The `tactile-loc` commands of a page, in shell blocks and indented, without the program."""
     text = read_page(page)
@@ -53,6 +59,15 @@ def ours(page: str) -> list[list[str]]:
 def test_every_command_of_a_page_is_valid(page):
     for words in ours(page):
         understand(words)  # raises on an option that does not exist
+
+
+@pytest.mark.parametrize("page", [page for page in NAV if page not in LOOKED_UP and not page.startswith("api/")])
+def test_a_page_shows_a_picture_or_a_command_within_the_first_screen(page):
+    assert any(map(SHOWN.match, read_page(page).splitlines()[:FIRST_SCREEN]))
+
+
+def test_the_pages_that_are_looked_up_exist():
+    assert set(NAV) >= LOOKED_UP
 
 
 @pytest.fixture

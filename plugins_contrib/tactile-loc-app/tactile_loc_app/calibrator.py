@@ -1,5 +1,6 @@
 """One visitor's calibration of a sensor: the uploaded photos, and the sensor that is made from them."""
 
+import logging
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ from tactile_loc.commands import list_files
 from tactile_loc_app.errors import AppError
 from tactile_loc_app.page.task_progress import ShowProgress, TaskProgress
 from tactile_loc_app.uploads import read_files, write_upload
+
+logger = logging.getLogger("tactile_loc.app")
 
 PHOTOS = "photos"
 TABLE, SENSOR, SHEET = "presses.csv", "sensor.toml", "labels.png"  # files of a folder of presses
@@ -91,17 +94,27 @@ class Calibrator:
     def add_photos(self, name: str, content: bytes) -> list[str]:
         """Add a photo, a video, a table presses.csv, or a zip archive of these, and return the names of the files.
 
-        A file of the same name is replaced. Nothing is added if one of the files cannot be used. Raises TactileLocError
-        for such a file.
+        A file of the same name is replaced. Unusable files of an archive are left out, with a warning. Raises
+        TactileLocError if no file can be used.
         """
         with tempfile.TemporaryDirectory(dir=self.folder) as temporary:
-            added: list[Path] = []
+            added, faults = list[Path](), list[TactileLocError]()
             for path, data in read_files(name, content):
                 if path.name in {other.name for other in added}:
                     raise AppError(f"{name} holds two files {path.name}; give each photo its own name")
-                if path.name != SHEET:
-                    added.append(write_upload(Path(temporary), path.name, data))
-                    self._require_usable(added[-1])
+                if path.name == SHEET:
+                    continue
+                try:
+                    written = write_upload(Path(temporary), path.name, data)
+                    self._require_usable(written)
+                except TactileLocError as fault:
+                    faults.append(fault)
+                else:
+                    added.append(written)
+            if faults and not added:
+                raise faults[0]
+            if faults:
+                logger.warning("files left out of %s: %d, because %s", name, len(faults), faults[0])
             return [path.replace(self._photos / path.name).name for path in added]
 
     def _require_usable(self, path: Path) -> None:

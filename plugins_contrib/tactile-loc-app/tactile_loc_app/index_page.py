@@ -1,4 +1,4 @@
-"""The page that browsers load: viser's, with the title and the icon of tactile-loc, and a number for each visit.
+"""The page that browsers load: viser's, with the title and the icon of tactile-loc, our style, and a number a visit.
 
 The number is in the page's address. It leads a browser that loads the page again to its session.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import gzip
 import re
 from functools import cache
+from importlib.resources import files
 from urllib.parse import parse_qs
 
 _VISIT = re.compile(r"[0-9a-f]{32}")
@@ -19,29 +20,16 @@ ICON = (
     "%3Cpath d='M4 25q6-9 12-6t12 6' fill='none' stroke='%23e8590c' stroke-width='3.4' stroke-linecap='round'/%3E"
     "%3C/svg%3E"
 )  # a finger over a surface
-SCRIPT = """<script>
-(() => {
-  const asked = new URLSearchParams(location.search);
-  if (!/^[0-9a-f]{32}$/.test(asked.get("visit") || "")) {
-    const bytes = crypto.getRandomValues(new Uint8Array(16));
-    asked.set("visit", [...bytes].map((one) => one.toString(16).padStart(2, "0")).join(""));
-  }
-  const write = () => history.replaceState(null, "", "?" + asked.toString());
-  const scheme = location.protocol === "https:" ? "wss://" : "ws://";
-  asked.set("websocket", scheme + location.host + "/?visit=" + asked.get("visit"));
-  write(); // where viser looks for its server
-  asked.delete("websocket");
-  asked.delete("token"); // the browser keeps it as a cookie
-  for (const after of [1000, 4000]) setTimeout(write, after);
-})();
-</script>"""
+ASSETS = files("tactile_loc_app") / "assets"
 
 
 @cache
 def brand_page(page: bytes, is_gzipped: bool) -> bytes:
-    """Return viser's page with our title, icon and script, gzipped as before."""
+    """Return viser's page with our title, icon, style and script, gzipped as before."""
     text = (gzip.decompress(page) if is_gzipped else page).decode("utf-8")
-    text = text.replace("<title>Viser</title>", f"<title>{TITLE}</title>{SCRIPT}", 1)
+    script, style = ((ASSETS / name).read_text("utf-8") for name in ("page.js", "page.css"))
+    head = f"<title>{TITLE}</title><script>{script}</script><style>{style}</style>"
+    text = text.replace("<title>Viser</title>", head, 1)
     text = re.sub(r'href="data:image/svg\+xml[^"]*"', f'href="{ICON}"', text, count=1)
     branded = text.encode("utf-8")
     return gzip.compress(branded) if is_gzipped else branded

@@ -62,7 +62,7 @@ class Session:
 
     `press_depth_m` is the press of the virtual finger at `T_base_sensor`. `touches` are located together. A new object
     or a new sensor removes the touches, because they belong to both. Uploaded files are kept in `folder`, until the
-    session is closed.
+    session is closed. `mesh_file` and `touch_file` are the latest ones, which can be read again.
     """
 
     def __init__(self, localizers: SharedLocalizers, config: RunConfig | None = None, seed: int = 0) -> None:
@@ -74,7 +74,10 @@ class Session:
         self.inbox.mkdir()
         self.calibrator = Calibrator(self.folder / "calibration", localizers.store)
         self.camera = ChosenCamera()
+        self.touch_file: Path | None = None
         self._begin(localizers.get(config or RunConfig()))
+        self.mesh_file = Path(self.localizer.config.object.path) if self.is_own_object else None
+        self._awaits_unit = False
 
     def _begin(self, localizer: Localizer) -> None:
         self.localizer = localizer
@@ -110,21 +113,29 @@ class Session:
     def load_object(self, path: str | Path, units: Units = "auto") -> None:
         """Take another object: a mesh file or a demo object. Raises TactileLocError if it cannot be used."""
         self._choose(object={"path": str(path), "units": units})
+        self._awaits_unit = False
 
     def upload_object(self, name: str, content: bytes, units: Units = "auto") -> None:
-        """Take another object from the content of a mesh file. Raises TactileLocError if it cannot be used."""
+        """Take another object from the content of a mesh file.
+
+        Raises TactileLocError if it cannot be used. Then `choose_units` reads it in another unit.
+        """
         own = self.folder / "meshes" / hashlib.sha256(content).hexdigest()[:16]
-        self.load_object(write_upload(own, name, content), units)
+        self.mesh_file = write_upload(own, name, content)
+        self._awaits_unit = True
+        self.load_object(self.mesh_file, units)
 
     def choose_units(self, units: Units) -> bool:
-        """Read the mesh file of an own object again in another unit, and return True; return False if nothing changes.
+        """Read the own mesh file again in another unit, and return True; return False if nothing changes.
 
-        Raises TactileLocError if the mesh cannot be used.
+        It is the object, or it could not be used when it was uploaded. Raises TactileLocError if it cannot be used.
         """
-        chosen = self.localizer.config.object
-        if not self.is_own_object or chosen.units == units:
+        chosen, path = self.localizer.config.object, self.mesh_file
+        if path is None or not (self.is_own_object or self._awaits_unit):
             return False
-        self.load_object(chosen.path, units)
+        if (chosen.path, chosen.units) == (str(path), units):
+            return False
+        self.load_object(path, units)
         return True
 
     def choose_sensor(self, sensor: str) -> None:
@@ -171,9 +182,21 @@ class Session:
 
         The file is a contact shape, a photo of a calibrated sensor, a list of touches (.toml), or a zip archive of a
         list LIST with its files. A list replaces all touches. Without an archive, it names files that were uploaded
-        before. Raises TactileLocError for bad input.
+        before. Raises TactileLocError for bad input. Then `read_touches_again` needs no second upload.
         """
-        path = self._unpack_list(name, content) if is_archive(name) else write_upload(self.inbox, name, content)
+        self.touch_file = (
+            self._unpack_list(name, content) if is_archive(name) else write_upload(self.inbox, name, content)
+        )
+        return self.read_touches_again(unit, kind)
+
+    def read_touches_again(self, unit: str | None = None, kind: str | None = None) -> tuple[Touch, ...]:
+        """Add the touches in the latest uploaded file, for the present object and sensor, and return them.
+
+        Raises TactileLocError for bad input.
+        """
+        path = self.touch_file
+        if path is None:
+            raise AppError("there is no file of touches yet; upload one")
         if path.suffix.lower() == ".toml":
             read = self._read_list(path)
             self.clear_touches()

@@ -64,7 +64,7 @@ def test_photos_come_one_by_one_or_in_an_archive(filled):
         (UNTOUCHED, encode_png(BALLS.background)),
         ("presses.csv", b"image,kind\n/etc/hostname,background\n"),
         ("presses.csv", b"image,kind,mesh\na.png,mesh,../part.stl\n"),
-        ("some.zip", pack({"good.png": encode_png(BALLS.images[0]), "notes.txt": b"no photo"})),
+        ("some.zip", pack({"bad.png": b"no photo", "notes.txt": b"no photo"})),
         ("some.zip", pack({"a/1.png": encode_png(BALLS.images[0]), "b/1.png": encode_png(BALLS.images[1])})),
     ],
 )
@@ -73,6 +73,15 @@ def test_a_file_that_cannot_be_used_changes_nothing(filled, name, content):
     with pytest.raises(TactileLocError):
         filled.add_photos(name, content)
     assert filled.names == before
+
+
+def test_good_photos_of_an_archive_are_kept_without_the_bad_ones(filled, caplog):
+    good = encode_png(BALLS.images[0])
+    assert filled.add_photos("some.zip", pack({"good.png": good, "notes.txt": b"", "bad.png": b""})) == ["good.png"]
+    assert set(filled.names) == {*list_photos(), "good.png"}
+    (record,) = caplog.records
+    assert record.name.startswith("tactile_loc")
+    assert "some.zip: 2" in record.getMessage()
 
 
 def test_the_photo_without_contact_has_an_own_name(filled):

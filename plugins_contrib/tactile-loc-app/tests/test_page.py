@@ -24,7 +24,7 @@ from test_uploads import pack
 
 from tactile_loc_app.page.follower import Follower
 from tactile_loc_app.page.pictures import paint_beside, paint_photo, paint_wide
-from tactile_loc_app.page.scene_view import choose_magnification, from_view, measure_height, to_view
+from tactile_loc_app.page.scene_view import FROM, choose_magnification, frame_points, from_view, to_view
 
 if TYPE_CHECKING:
     from tactile_loc_app.page.panels import VisitorPage
@@ -44,12 +44,21 @@ def test_a_small_ellipsoid_is_drawn_larger(std_m, times):
     assert choose_magnification(std_m**2 * np.eye(6)) == times
 
 
-def test_the_height_of_a_view_is_upright_and_across_the_way_of_sight():
-    away = np.array([3.0, 0.0, 4.0])
-    height = measure_height(away, np.pi / 2)
-    assert height @ away == pytest.approx(0, abs=1e-9)
-    assert np.linalg.norm(height) == pytest.approx(10)
-    assert height[2] > 0
+@pytest.mark.parametrize(("aspect", "covered"), [(1.4, (0.1, 0.0)), (0.46, (0.15, 0.2))])
+def test_the_framed_points_lie_in_the_free_part_of_the_view(aspect, covered):
+    points, slope = np.random.default_rng(0).uniform(-1, 1, (50, 3)) * [4, 2, 7] + [10, 20, 30], 0.5
+    target, away = frame_points(points, 0.1, slope, aspect, covered)
+    right = np.cross([0, 0, 1], FROM) / np.linalg.norm(np.cross([0, 0, 1], FROM))
+    seen = points - target
+    depth = away - seen @ FROM
+    x, y = (
+        seen @ right / (depth * slope * aspect),
+        seen @ np.cross(FROM, right) / (depth * slope),
+    )  # -1 to 1 in the view
+    assert np.abs(x).max() < 1
+    assert y.max() < 1 - 2 * covered[0]
+    assert y.min() > 2 * covered[1] - 1
+    assert max(np.ptp(x), np.ptp(y)) > 0.8, "the points fill the view"
 
 
 def test_the_picture_of_a_shape_shows_contact_beside_a_scaled_photo():
@@ -248,6 +257,31 @@ def test_visitors_press_locate_and_export(tmp_path, store):
         program.wait_until(lambda: not server.pages, "a visitor is left")
         assert all(folder.is_dir() for folder in own), "the page can be loaded again"
     assert not any(folder.exists() for folder in own)
+
+
+@pytest.mark.slow
+def test_the_view_fills_a_phone_below_a_card_that_nothing_covers(tmp_path, store):
+    require_browser()
+    from tactile_loc_app.server import AppServer
+
+    with AppServer(CONFIG, port=0, store=store) as server:
+        phone = program.Visitor(server.url, tmp_path, program.PHONE)
+        try:
+            page = program.await_page(server, phone)
+            assert phone.find_box("canvas") == (0, 0, *program.PHONE)
+            page.notices.notify("Note", "This text is short.")
+            phone.await_text("This text is short")
+            for share in (0.2, 0.6, 0.2):  # of the screen
+                _, top, width, height = phone.find_box(program.DRAWER)
+                assert width == program.PHONE[0]
+                assert height / program.PHONE[1] == pytest.approx(share, abs=0.05)
+                assert top + height == pytest.approx(program.PHONE[1], abs=1)
+                _, card_top, _, card_height = phone.find_box(program.CARD)
+                _, note_top, _, note_height = phone.find_box("[role=alert]")
+                assert 0 < card_top < card_top + card_height < note_top < note_top + note_height < top
+                phone.toggle_drawer()
+        finally:
+            phone.close()
 
 
 def calibrate_in_the_page(visitor: program.Visitor, page: VisitorPage, folder: Path) -> None:

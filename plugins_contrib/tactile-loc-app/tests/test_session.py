@@ -170,6 +170,24 @@ def test_an_uploaded_mesh_is_read_in_its_unit_and_again_in_another(session):
     assert session.touches == ()
 
 
+def test_an_upload_that_fails_is_read_again_with_the_right_setting(session):
+    metres = trimesh.creation.box((0.03, 0.02, 0.01)).export(file_type="stl")
+    with pytest.raises(ObjectError):
+        session.upload_object("block.stl", metres, "mm")
+    assert session.object.name == "pin"
+    assert session.choose_units("m")
+    np.testing.assert_allclose(session.object.mesh.extents_m, [0.03, 0.02, 0.01], rtol=1e-6)
+    session.load_object("pin")
+    assert not session.choose_units("cm"), "the own mesh is not the object any more"
+    with pytest.raises(TouchError):
+        session.read_touch_file("a.npy", save_depths(session))
+    assert session.touches == ()
+    assert session.read_touches_again("mm", "distance") == session.touches
+    session.choose_sensor(session.localizer.config.sensor.name)
+    assert session.touches == ()
+    assert len(session.read_touches_again("mm", "distance")) == 1
+
+
 def test_an_uploaded_touch_is_added_with_its_pose(session, tmp_path):
     session.press(session.T_base_sensor, DEPTH_M)
     touch = session.add_touch()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, get_args
 
-from tactile_loc import DepthKind, DepthUnit, Touch
+from tactile_loc import DepthKind, DepthUnit, TactileLocError, Touch
 from tactile_loc.commands import fold_line
 
 from tactile_loc_app.page.markdown import Paragraph
@@ -42,12 +42,23 @@ class FileControls:
             self.unit = gui.add_dropdown("Unit of depths", (IN_FILE, *get_args(DepthUnit)), initial_value=IN_FILE)
             self.kind = gui.add_dropdown("Depths are", (IN_FILE, *get_args(DepthKind)), initial_value=IN_FILE)
             self.file = gui.add_upload_button("Upload a touch or a list")
-        self.file.on_upload(notices.guard(self._upload))
+            self.again = gui.add_button("Read the uploaded file again", visible=False)
+        self.file.on_upload(notices.guard(lambda: self._read(self.session.read_touch_file, *take_upload(self.file))))
+        self.again.on_click(notices.guard(lambda: self._read(self.session.read_touches_again)))
 
-    def _upload(self) -> None:
+    def _read(self, read: Callable[..., tuple[Touch, ...]], *file: str | bytes) -> None:
+        """Read touches. If this fails, the file is kept, so that it can be read again with other settings."""
         unit, kind = (None if chosen.value == IN_FILE else chosen.value for chosen in (self.unit, self.kind))
-        added = self.session.read_touch_file(*take_upload(self.file), unit, kind)
+        try:
+            added = read(*file, unit, kind)
+        except TactileLocError:
+            self.offer_again(self.session.touch_file is not None)
+            raise
         self._show(added[-1])
+
+    def offer_again(self, offers: bool) -> None:
+        """Show or hide the button that reads the latest uploaded file again."""
+        self.again.visible = offers
 
     def _add_camera(self, notices: Notices) -> None:
         gui = self.client.gui

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-SECONDS = 12.0  # for which a notification stays
+NOTE_S, FAULT_S = 7.0, 15.0  # seconds for which a note, and an error or a warning, stays
 CONTROLS = {
     "touch_unit": '"Unit of depths"',
     "touch_kind": '"Depths are"',
@@ -67,8 +67,9 @@ class Notices:
         return name_controls(hide_folder(text, self.folder))
 
     def notify(self, title: str, text: str, colour: Any = "blue") -> None:
-        """Show a notification."""
-        self.client.add_notification(fold_line(title), fold_line(text), auto_close_seconds=SECONDS, color=colour)
+        """Show a notification: in blue, a note that disappears soon."""
+        seconds = NOTE_S if colour == "blue" else FAULT_S
+        self.client.add_notification(fold_line(title), fold_line(text), auto_close_seconds=seconds, color=colour)
 
 
 class _ThreadWarnings(logging.Handler):

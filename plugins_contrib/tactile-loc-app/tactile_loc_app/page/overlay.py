@@ -38,14 +38,14 @@ class Overlay:
 
     def show_hint(self, text: str) -> None:
         """Show a sentence."""
-        self._handle.content = f'<div style="{CARD}"><div>{html.escape(text)}</div></div>'
+        self._handle.content = f'<div id="card" style="{CARD}"><div>{html.escape(text)}</div></div>'
 
     def show_result(self, found: Localization) -> None:
         """Show the verdict and its meaning."""
         verdict = str(found.verdict)
         sign, badge = SIGNS.get(verdict, OTHER_SIGN), BADGE.format(PALETTE.find_verdict(verdict))
         self._handle.content = (
-            f'<div style="{CARD}"><span style="{badge}">{sign}&nbsp;{html.escape(verdict)}</span>'
+            f'<div id="card" style="{CARD}"><span style="{badge}">{sign}&nbsp;{html.escape(verdict)}</span>'
             f"<div>{html.escape(describe_verdict(found).replace(' %', NARROW + '%'))}</div></div>"
         )
 
@@ -60,7 +60,7 @@ class Overlay:
         left = f", about {write_seconds(passed_s * (1 - share) / share)} left" if share > 0.05 else ""
         bar = BAR.format(best=PALETTE.best, line=PALETTE.line, share=round(100 * share))
         inside = f'{html.escape(text + left)}<div style="{bar}"></div>'
-        self._handle.content = f'<div style="{CARD}"><div style="min-width:16rem">{inside}</div></div>'
+        self._handle.content = f'<div id="card" style="{CARD}"><div style="min-width:16rem">{inside}</div></div>'
 
 
 def write_seconds(seconds: float) -> str:

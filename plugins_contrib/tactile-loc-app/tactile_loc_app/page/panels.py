@@ -14,6 +14,7 @@ from tactile_loc.plugin import registry
 from tactile_loc.plugin.helpers import NoiseLevel
 
 from tactile_loc_app.calibrator import MadeSensor
+from tactile_loc_app.errors import AppError
 from tactile_loc_app.page.calibration_tab import CalibrationTab
 from tactile_loc_app.page.file_controls import FileControls
 from tactile_loc_app.page.follower import Follower
@@ -124,12 +125,17 @@ class VisitorPage:
     def _choose_object(self) -> None:
         if self.objects.value != OWN:
             self.session.load_object(self.objects.value)
-            self._show_object()
+        elif self.session.mesh_file is not None:
+            self.session.load_object(self.session.mesh_file, cast(Units, self.units.value))
+        else:
+            raise AppError('there is no mesh of your own yet; press "Open your own mesh"')
+        self._show_object()
 
     def _choose_units(self) -> None:
         """Read the own mesh again, in another unit. If it cannot be used, its unit stays."""
         try:
             if self.session.choose_units(cast(Units, self.units.value)):
+                self.objects.value = OWN
                 self._show_object()
         finally:
             if self.session.is_own_object:
@@ -248,6 +254,7 @@ class VisitorPage:
         for handle in (self.chosen_touch, self.remove, self.clear):
             handle.visible = bool(touches)
         self.view.show_touches(touches)
+        self.files.offer_again(self.session.touch_file is not None and not touches)
         if self.session.result is None:
             self._clear_result()
 
@@ -338,13 +345,13 @@ class VisitorPage:
         """Draw the next touch, and move the finger there."""
         rated, geometry = self.session.suggest_next(), self.session.scene.geometry
         self.view.show_next(rated, geometry)
-        doubt = rated.information + rated.entropy
-        text = f"It is expected to remove {rated.information:.2f} of {doubt:.2f} nats of doubt."
+        share = rated.information / max(rated.information + rated.entropy, 1e-9)
+        text = f"It should remove {format_percent(share)} of the doubt."
         if self.session.require_result().best.T_base_object is not None:
             self.view.move_finger_gizmo(rated.approach.T_base_sensor, geometry)
             self._settle()
             self._ask_press()
-            text += " The finger is there; add this touch, and locate again."
+            text += " The finger is there. Add this touch, and locate again."
         self.notices.notify("The next touch is green", text)
 
     # the prior

@@ -47,16 +47,17 @@ OUTLINE = 0.006  # width of the outline of the true pose, in sizes of the object
 LARGEST_M = 2e-3  # half axis of a drawn ellipsoid, at most; a small ellipsoid is magnified by a power of ten
 SIGMAS = 2.0  # standard deviations of the half axes of ellipsoids in a DrawnScene
 MOST_LIKELY = 500  # drawn poses of the posterior
-PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}  # shadows slow down a view without a GPU
+PLAIN: dict[str, Any] = {"cast_shadow": False, "receive_shadow": False}
+SUN = (5.0, -2.0, 6.0)  # where the light comes from
 LEAST_SHOWN = 0.01  # probability of a hypothesis that is drawn although it is not chosen
 NEAR, FAR = 0.1, 500.0  # range that the camera of the view sees, in units of the view
 FROM = np.array([0.52, -0.70, 0.49])  # direction, of length 1, from which the object is seen at first
-ROOM = 1.15  # space around the object when it is framed
-PHONE_ASPECT, SHEET, PHONE_ROOM = (
-    0.6,
-    0.55,
-    1.25,
-)  # on a narrow page, controls cover the lower part (a share) of the view
+ROOM = 1.1  # space around the object when it is framed
+PHONE_ASPECT = 0.6  # of a narrow page, on which the controls are a drawer
+COVERED, PHONE_COVERED = (
+    (0.08, 0.02),
+    (0.13, 0.2),
+)  # by the card above and the drawer below, shares of the view's height
 GHOST, MOST_WEIGHTS = 0.35, 5  # largest opacity of a pose that is not chosen, and largest number of written weights
 
 
@@ -84,6 +85,8 @@ class SceneView:
         self._finger: Any = None
         self.scene.set_up_direction("+z")
         self.scene.set_background_image(SKY.repeat(2, axis=1), format="png")
+        self.scene.configure_environment_map(None)  # slow without a GPU, as are the shadows of the default lights
+        self.scene.configure_default_lights(False, cast_shadow=False)
 
     # object and finger
 
@@ -93,6 +96,8 @@ class SceneView:
         self._gel = self._finger = self.finger_gizmo = self.prior_gizmo = None
         mesh = obj.mesh if len(obj.mesh.faces) <= MOST_FACES else simplify_mesh(obj.mesh, MOST_FACES)
         self._mesh = mesh
+        self.scene.add_light_hemisphere("/sky", ground_color=(180, 185, 195), intensity=1.6)
+        self.scene.add_light_directional("/sun", color=(255, 250, 240), intensity=2.6, position=SUN)
         self._object = self._add_mesh("/object", mesh, REST)
         self._add_outline(mesh)
         self._add_floor(mesh)
@@ -130,18 +135,16 @@ class SceneView:
         return self.scene.add_mesh_simple(name, vertices, mesh.faces.astype(np.uint32), color=colour, **look)
 
     def _look_at(self, mesh: TriangleMesh, geometry: SensorGeometry) -> None:
-        """Look at the middle of the object, in the part of the view that the controls leave free."""
-        camera, middle = self.client.camera, UNITS_PER_M * mesh.corners_m.mean(axis=0)
-        finger_m = max(np.ptp(geometry.rectangle[:2]), 0.01)
-        middle = middle + np.array([0.0, 0.0, 0.25 * UNITS_PER_M * finger_m])
-        radius = 0.5 * UNITS_PER_M * (np.linalg.norm(mesh.extents_m) + finger_m)
-        away = ROOM * radius / np.sin(0.5 * camera.fov) / min(camera.aspect, 1.0)
-        if camera.aspect < PHONE_ASPECT:
-            away *= PHONE_ROOM  # for the card above the object
-            middle = middle - 0.5 * SHEET * measure_height(away * FROM, camera.fov)
+        """Look at the object and the finger, in the part of the view that the card and the controls leave free."""
+        camera = self.client.camera
+        covered = PHONE_COVERED if camera.aspect < PHONE_ASPECT else COVERED
+        finger_m = 0.5 * max(np.ptp(geometry.rectangle[:2]), 0.01)
+        target, away = frame_points(
+            UNITS_PER_M * mesh.corners_m, UNITS_PER_M * finger_m, np.tan(0.5 * camera.fov), camera.aspect, covered
+        )
         camera.near, camera.far = NEAR, FAR
-        camera.position = middle + away * FROM
-        camera.look_at = middle  # after the position, which moves this point, too
+        camera.position = target + away * FROM
+        camera.look_at = target  # after the position, which moves this point, too
 
     def add_finger_gizmo(self, T_base_sensor: Pose, geometry: SensorGeometry) -> TransformControlsHandle:
         """Add the gizmo that drags the finger. Its origin is the middle of the gel, and its z axis points out of it."""
@@ -176,7 +179,7 @@ class SceneView:
             self._gel = self.scene.add_mesh_simple(
                 "/finger/gel", vertices, faces, color=GEL, opacity=0.9, side="double", **PLAIN
             )
-            self._add_body("/finger/body", press.geometry, HOUSING, 0.5)
+            self._add_body("/finger/body", press.geometry, HOUSING, 0.75)
         with self.client.atomic():
             for name, value in to_view(press.T_base_sensor).items():
                 setattr(self._finger, name, value)
@@ -189,9 +192,7 @@ class SceneView:
         solid = np.asarray(UNITS_PER_M * parts, np.float32)
         solid[:, 2] -= 1e-3 * UNITS_PER_M * 2  # behind the deepest point of a pressed gel
         faces = np.arange(len(solid), dtype=np.uint32).reshape(-1, 3)
-        self.scene.add_mesh_simple(
-            name, solid, faces, color=colour, opacity=opacity, flat_shading=True, side="double", **PLAIN
-        )
+        self.scene.add_mesh_simple(name, solid, faces, color=colour, opacity=opacity, flat_shading=True, **PLAIN)
 
     # touches and results
 
@@ -299,14 +300,23 @@ class SceneView:
         self.prior_gizmo = None
 
 
-def measure_height(away: NDArray[np.float64], fov_rad: float) -> NDArray[np.float64]:
-    """Return the vector (3,) from the bottom to the top of a camera's view, in the plane of the point it looks at.
+def frame_points(
+    points: NDArray[np.float64], margin: float, slope: float, aspect: float, covered: tuple[float, float]
+) -> tuple[NDArray[np.float64], float]:
+    """Return the point (3,) that a camera in the direction FROM looks at to see points (N, 3), and its distance.
 
-    The camera is at `away` (3,) from the point, and its up direction is +z.
+    `margin` is free around the points. `slope` is the tangent of half of the view's height, and `covered` are the
+    shares of this height that are hidden above and below.
     """
-    forward = -away / np.linalg.norm(away)
-    up = np.array([0.0, 0.0, 1.0]) - forward[2] * forward
-    return np.asarray(2 * np.linalg.norm(away) * np.tan(0.5 * fov_rad) * up / np.linalg.norm(up))
+    right = np.cross([0.0, 0.0, 1.0], FROM) / np.hypot(*FROM[:2])
+    axes = np.stack([right, np.cross(FROM, right), FROM])
+    along = points @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    wide, tall, deep = ROOM * (0.5 * (high - low) + margin)
+    above, below = covered
+    away = float(deep + max(wide / aspect, tall / (1 - above - below)) / slope)
+    middle = 0.5 * (low + high) + np.array([0.0, (above - below) * away * slope, 0.0])
+    return middle @ axes, away
 
 
 def choose_magnification(covariance: NDArray[np.float64]) -> float:
