@@ -30,6 +30,7 @@ from tactile_loc.io.streams.ros_messages import (
 from tactile_loc.store.files import write_atomically
 
 MCAP_MAGIC, BAG_MAGIC = b"\x89MCAP", b"#ROSBAG"  # first bytes of the formats
+DATASETS = "read it with replay-dataset, a command of ./plugins_contrib/tactile-loc-datasets"
 FORMATS = "an MCAP file (.mcap), a ROS 1 bag (.bag), or the folder of a ROS 2 bag"
 
 
@@ -89,6 +90,8 @@ class Recording:
         if not (self._in_mcap or os.path.isdir(self.path) or self.path.suffix.lower() == ".bag"):
             raise RecordingError(f"{self.path} is not a recording; give {FORMATS}")
         if os.path.isdir(self.path) and not os.path.isfile(self.path / "metadata.yaml"):
+            if os.path.isfile(self.path / "meta" / "info.json"):
+                raise RecordingError(f"{self.path} is a data set of LeRobot; {DATASETS}")
             raise RecordingError(f"{self.path} is not a ROS 2 bag: it has no metadata.yaml; give {FORMATS}")
 
     def read_messages(self, *names: str) -> Iterator[Message]:

@@ -227,6 +227,13 @@ def test_a_recording_without_an_index_is_read_and_one_without_messages_is_called
     assert ".bag" not in str(caught.value)
 
 
+def test_a_data_set_of_lerobot_names_its_command(tmp_path):
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "info.json").write_text("{}")
+    with pytest.raises(RecordingError, match=naming(tmp_path.name, "replay-dataset")):
+        Recording(tmp_path)
+
+
 def test_a_missing_topic_is_refused_with_the_existing_topics(recorded, tmp_path):
     contents = Recording(recorded).read_contents()
     with pytest.raises(RecordingError, match=naming("drive.mcap", "'/gel/image'") + r".*/gel/imag\b"):
