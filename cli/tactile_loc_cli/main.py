@@ -158,6 +158,8 @@ def main() -> None:
         app(prog_name="tactile-loc")
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
+    finally:
+        gc.freeze()  # the end of the process does not look for garbage
 
 
 if __name__ == "__main__":

@@ -1,15 +1,17 @@
-"""An object's surface and symmetry, stored because reading a mesh and finding its symmetry takes seconds."""
+"""An object's surface, its symmetry and the field of its surface, stored because making them takes long."""
 
 import logging
 import math
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
+from tactile_loc.core.objects.surface_field import CELL_M, REACH_M, Cells, build_surface_field
 from tactile_loc.core.objects.symmetry import SymmetryGroup, SymmetryTerm
 from tactile_loc.core.runtime.errors import ObjectError, StoreError
 from tactile_loc.io.meshes.mesh_files import GLTF_SUFFIXES, Surface, Units, find_symmetry, load_object, read_surface
@@ -24,7 +26,8 @@ logger = logging.getLogger(__name__)
 
 SELF_CONTAINED = (".stl", ".obj", ".ply", ".off", *STEP_SUFFIXES)  # files that contain the whole surface
 PART_SUFFIXES = (*SELF_CONTAINED, *GLTF_SUFFIXES)  # of files in folders of parts
-SURFACE_VERSION, SYMMETRY_VERSION = 2, 2  # increase if the same file gives another surface or symmetry
+# increase if the same file gives another surface or symmetry, or the same surface another field
+SURFACE_VERSION, SYMMETRY_VERSION, FIELD_VERSION = 2, 2, 1
 
 Kept = TypeVar("Kept")
 
@@ -84,6 +87,33 @@ def _load_symmetry(declared: str, mesh: TriangleMesh, name: str, store: StageSto
         return SymmetryGroup(np.array(group["centre_m"]), tuple(terms))
 
     return _load_or_keep(store, key, lambda: find_symmetry(declared, mesh), save, load)
+
+
+def load_surface_field(obj: ObjectModel, store: StageStore) -> None:
+    """Load the field of an object's surface and its convex hull into memory, from the store if possible.
+
+    They are then found by `build_surface_field` and `TriangleMesh.hull_corners_m`.
+    """
+    mesh, names = obj.mesh, ("nearest", "distances", "hull")
+
+    def make(find: Callable[[], Cells]) -> list[NDArray[Any]]:
+        return [*find(), mesh.hull_corners_m]
+
+    def save(arrays: list[NDArray[Any]], work: Workspace) -> None:
+        for name, array in zip(names, arrays, strict=True):
+            work.save_array(name, array, packed=True)
+
+    def load(kept: Artifact) -> list[NDArray[Any]]:
+        return [kept.load_array(name) for name in names]
+
+    def keep(find: Callable[[], Cells]) -> Cells:
+        described: dict[str, Any] = {"mesh": mesh.digest, "reach_m": REACH_M, "cell_m": CELL_M}
+        key = StageKey("field", FIELD_VERSION, described, obj.name)
+        nearest, distances, hull_corners_m = _load_or_keep(store, key, lambda: make(find), save, load)
+        mesh.remember_hull(hull_corners_m)
+        return nearest, distances
+
+    build_surface_field(mesh, keep=keep)
 
 
 def _load_or_keep(

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from tactile_loc.core.objects import surface_field
+from tactile_loc.core.runtime.caches import ByteCache
 from tactile_loc.core.runtime.errors import ObjectError, StoreError, SymmetryError
 from tactile_loc.io.meshes import mesh_files as meshes
 from tactile_loc.locate import stored_object as module
@@ -96,3 +98,22 @@ def test_each_readable_mesh_of_a_folder_is_a_part(tmp_path):
     for name in ("b.glb", "a.STL", "c.gltf", "._a.stl", "c.bin"):
         (tmp_path / name).touch()
     assert [path.name for path in module.list_mesh_files(tmp_path)] == ["a.STL", "b.glb", "c.gltf"]
+
+
+def test_the_field_and_the_hull_of_a_surface_are_computed_once(tmp_path, monkeypatch):
+    store, path = StageStore(tmp_path / "store"), tmp_path / "part.stl"
+    trimesh.creation.icosphere(2, 0.008).export(path)
+
+    def open_field():
+        obj = module.load_stored_object(path, "m", "none", store)
+        monkeypatch.setattr(surface_field, "_fields", ByteCache(surface_field.KEPT_BYTES, lambda field: field.nbytes))
+        module.load_surface_field(obj, store)
+        return obj.mesh, surface_field.build_surface_field(obj.mesh)
+
+    made, field = open_field()
+    monkeypatch.setattr(surface_field, "_fill_cells", lambda *_: pytest.fail("the field is computed again"))
+    read, same = open_field()
+    np.testing.assert_array_equal(same.triangles.nearest, field.triangles.nearest)
+    np.testing.assert_array_equal(same.distances, field.distances)
+    np.testing.assert_array_equal(read.hull_corners_m, made.hull_corners_m)
+    assert [entry.stage for entry in store.entries()].count("field") == 1

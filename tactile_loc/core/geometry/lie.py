@@ -29,11 +29,7 @@ TINY = 1e-30  # added to a squared angle, so that a division by the angle is pos
 
 def exponential(x: Floats, centre: Floats) -> Floats:
     """Return the motions (..., 4, 4) that rotate by x[..., :3] about centres (..., 3), then shift by x[..., 3:]."""
-    turn = x[..., :3]
-    half = 0.5 * np.sqrt((turn * turn).sum(axis=-1) + TINY)[..., None, None]
-    K = cross_matrix(turn)
-    sinc = np.sin(half) / half
-    R = np.eye(3) + sinc * np.cos(half) * K + 0.5 * sinc * sinc * (K @ K)
+    R = vector_to_rotation(x[..., :3])
     return make_transform(R, centre + x[..., 3:] - (R @ centre[..., None])[..., 0])
 
 

@@ -3,8 +3,6 @@
 A transform is named ``T_target_source``: ``p_target = T_target_source @ p_source``.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,6 +16,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 ROUNDED = 1e-3  # largest difference from a rotation that rounding to three decimals explains
+LEAST_RAD = 1e-15  # a smaller angle counts as this one, so that a division by it is possible
 UNIT_TOLERANCE = 0.005  # largest difference of a unit vector's length from 1, as in tf2
 
 
@@ -106,20 +105,20 @@ def quaternion_to_rotation(q: ArrayLike) -> Floats:
 
 
 def vector_to_rotation(vectors: ArrayLike) -> Floats:
-    """Convert rotation vectors (..., 3), rad, to rotations (..., 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    found = np.asarray(vectors, float)
-    R: Any = Rotation.from_rotvec(found.reshape(-1, 3)).as_matrix()
-    return np.asarray(R, float).reshape(*found.shape, 3)
+    """Convert rotation vectors (..., 3), rad, to rotations (..., 3, 3) (Rodrigues' formula with half angles)."""
+    turn = np.asarray(vectors, float)
+    half = 0.5 * np.maximum(np.linalg.norm(turn, axis=-1), LEAST_RAD)[..., None, None]
+    K = cross_matrix(turn)
+    sinc = np.sin(half) / half
+    return np.asarray(np.eye(3) + sinc * np.cos(half) * K + 0.5 * sinc * sinc * (K @ K))
 
 
 def rotation_to_vector(R: Floats) -> Floats:
     """Convert rotations (..., 3, 3) to rotation vectors (..., 3), rad."""
-    from scipy.spatial.transform import Rotation
-
-    vectors: Any = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
-    return np.asarray(vectors, float).reshape(*R.shape[:-2], 3)
+    q = rotation_to_quaternion(R)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)  # of half of the angle
+    half = np.arctan2(sine, q[..., :1])
+    return np.asarray(q[..., 1:] * np.where(half > LEAST_RAD, 2 * half / np.maximum(sine, LEAST_RAD), 2.0))
 
 
 def axis_angle(R: Floats) -> tuple[float, Floats]:
@@ -137,10 +136,18 @@ def format_pose(T: Floats) -> list[str]:
 
 def rotation_to_quaternion(R: Floats) -> Floats:
     """Convert rotations (..., 3, 3) to unit quaternions (..., 4), scalar first and non-negative, unitless."""
-    from scipy.spatial.transform import Rotation
-
-    flat: Any = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
-    return np.asarray(flat, float).reshape(*R.shape[:-2], 4)
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(np.asarray(R, float), (-2, -1), (0, 1))
+    rows = [  # 4 q q^T; the row of the largest component is the most exact one
+        [1 + a + e + i, h - f, c - g, d - b],
+        [h - f, 1 + a - e - i, b + d, c + g],
+        [c - g, b + d, 1 - a + e - i, f + h],
+        [d - b, c + g, f + h, 1 - a - e + i],
+    ]
+    products = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    largest = np.diagonal(products, axis1=-2, axis2=-1).argmax(axis=-1)[..., None, None]
+    q = np.take_along_axis(products, largest, axis=-2)[..., 0, :]
+    first = np.take_along_axis(q, (q != 0).argmax(axis=-1)[..., None], axis=-1)
+    return np.asarray(q * np.sign(first) / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
 def rotation_to_quaternion_xyzw(R: Floats) -> Floats:

@@ -28,19 +28,16 @@ class Blocks(NamedTuple):
 def make_blocks(corners: Floats, most: int) -> Blocks:
     """Split items with corners (N, C, 3) into blocks of at most `most` items.
 
-    A larger block is split in two halves along its longest side.
+    Larger blocks are split in two halves along their longest sides.
     """
-    middles, blocks, waiting = corners.mean(axis=1), [], [np.arange(len(corners))]
-    while waiting:
-        some = waiting.pop()
-        if len(some) <= most:
-            blocks.append(some)
-            continue
-        longest = np.ptp(middles[some], axis=0).argmax()
-        some = some[np.argsort(middles[some, longest], kind="stable")]
-        waiting += [some[len(some) // 2 :], some[: len(some) // 2]]
-    starts = np.cumsum([0, *map(len, blocks)])
-    corners = np.ascontiguousarray(corners[np.concatenate(blocks)], float)
+    middles, order, starts = corners.mean(axis=1), np.arange(len(corners)), np.array([0, len(corners)])
+    while (sizes := np.diff(starts)).max() > most:
+        some, block, large = middles[order], np.repeat(np.arange(len(sizes)), sizes), sizes > most
+        extents = np.maximum.reduceat(some, starts[:-1]) - np.minimum.reduceat(some, starts[:-1])
+        along = np.where(large[block], some[np.arange(len(some)), extents.argmax(axis=1)[block]], 0.0)
+        order = order[np.lexsort((along, block))]
+        starts = np.sort(np.concatenate([starts, starts[:-1][large] + sizes[large] // 2]))
+    corners = np.ascontiguousarray(corners[order], float)
     low = np.minimum.reduceat(corners.min(axis=1), starts[:-1])
     high = np.maximum.reduceat(corners.max(axis=1), starts[:-1])
     centres = (low + high) / 2

@@ -54,12 +54,16 @@ class TriangleMesh:
     @cached_property
     def hull_corners_m(self) -> Floats:
         """The corners (V, 3) of the surface's convex hull, metres; all vertices if the surface is flat."""
-        from scipy.spatial import ConvexHull, QhullError
+        from scipy.spatial import ConvexHull, QhullError  # scipy takes a while to import
 
         try:
             return np.asarray(self.corners_m[ConvexHull(self.corners_m).vertices])
         except QhullError:
             return self.corners_m
+
+    def remember_hull(self, corners_m: Floats) -> None:
+        """Take `hull_corners_m` (V, 3), metres, from an earlier computation with an equal mesh."""
+        vars(self)["hull_corners_m"] = corners_m
 
     @cached_property
     def centroid_m(self) -> Floats:

@@ -11,6 +11,7 @@ itself. The search therefore continues to nearer triangles that share an edge.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,13 +23,15 @@ from tactile_loc.core.objects.mesh import TriangleMesh, find_shared_sides
 from tactile_loc.core.runtime.caches import ByteCache
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 
-CELL_M = 5e-4  # side of a cell of a field by default
+REACH_M, CELL_M = 4e-3, 5e-4  # reach, and side of a cell of a field by default
 MOST_CELLS = 6_000_000
 KEPT_BYTES = 512 * 2**20  # of fields in memory
 FAR = 255  # value of a distance of `reach_m` or more
 SAME, SAME_SQUARED = 1e-9, 1e-18  # squared distances are equal up to this share of them, plus this much
 MOST_TIES = 16  # steps to equally near triangles in one search
 TO_MM = np.repeat([1e3, 1.0, 1e6, 1e12], [9, 3, 3, 1])  # factors of a row of `NearestTriangles.faces` from metres
+Cells = tuple[NDArray[np.int32], NDArray[np.uint8]]  # `NearestTriangles.nearest`, and `SurfaceField.distances`
+Keep = Callable[[Callable[[], Cells]], Cells]
 SIDES = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
 
 
@@ -41,20 +44,22 @@ class SurfaceField:
     distances: NDArray[np.uint8]  # (X, Y, Z), from the centre of each cell to the surface, in steps of reach_m / FAR
 
     @classmethod
-    def of(cls, mesh: TriangleMesh, reach_m: float = 4e-3, cell_m: float = CELL_M) -> SurfaceField:
-        """Build the field of a mesh with cells of `cell_m` metres, or larger if there would be too many."""
+    def of(
+        cls, mesh: TriangleMesh, reach_m: float = REACH_M, cell_m: float = CELL_M, keep: Keep = lambda find: find()
+    ) -> SurfaceField:
+        """Build the field of a mesh with cells of `cell_m` metres, or larger if there would be too many.
+
+        `keep` returns what the function given to it returns, or what it kept of an earlier call: the cells' nearest
+        triangles and distances.
+        """
         low = mesh.vertices_m.min(axis=0) - reach_m
         size = mesh.extents_m + 2 * reach_m
         cell_m = max(cell_m, float(np.cbrt(size.prod() / MOST_CELLS)))
         corners = np.ascontiguousarray(mesh.triangles_m[mesh.face_areas > 0])
-        nearest = np.full(np.ceil(size / cell_m).astype(int) + 1, -1, np.int32)
-        squared_m2 = np.full(nearest.shape, np.inf, np.float32)
-        triangles = NearestTriangles(pack_triangles(corners), low, cell_m, nearest, *_find_neighbours(corners))
-        boxes = np.hstack([corners.min(axis=1), corners.max(axis=1)])
-        _mark_crossed(triangles, boxes, squared_m2)
-        _carry(triangles, boxes, reach_m, squared_m2, np.argwhere(nearest >= 0).astype(np.int32))
-        distances = np.minimum(np.rint(np.sqrt(squared_m2) * np.float32(FAR / reach_m)), FAR).astype(np.uint8)
-        return cls(triangles, reach_m, distances)
+        empty = np.full(np.ceil(size / cell_m).astype(int) + 1, -1, np.int32)
+        triangles = NearestTriangles(pack_triangles(corners), low, cell_m, empty, *_find_neighbours(corners))
+        nearest, distances = keep(lambda: _fill_cells(triangles, corners, reach_m))
+        return cls(triangles._replace(nearest=nearest), reach_m, distances)
 
     @property
     def nbytes(self) -> int:
@@ -102,6 +107,16 @@ class SurfaceField:
         return gaps * (self.reach_m / FAR)
 
 
+def _fill_cells(triangles: NearestTriangles, corners: NDArray[np.float64], reach_m: float) -> Cells:
+    """Fill `triangles.nearest` for triangles with corners (F, 3, 3), and return it with the cells' distances."""
+    squared_m2 = np.full(triangles.nearest.shape, np.inf, np.float32)
+    boxes = np.hstack([corners.min(axis=1), corners.max(axis=1)])
+    _mark_crossed(triangles, boxes, squared_m2)
+    _carry(triangles, boxes, reach_m, squared_m2, np.argwhere(triangles.nearest >= 0).astype(np.int32))
+    distances = np.minimum(np.rint(np.sqrt(squared_m2) * np.float32(FAR / reach_m)), FAR).astype(np.uint8)
+    return triangles.nearest, distances
+
+
 def pack_triangles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rows (F, 16) of `NearestTriangles.faces` for triangles with corners (F, 3, 3)."""
     first, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -122,16 +137,18 @@ def _find_neighbours(corners: NDArray[np.float64]) -> tuple[NDArray[np.int32], N
 _fields: ByteCache[tuple[str, float], SurfaceField] = ByteCache(KEPT_BYTES, lambda field: field.nbytes)
 
 
-def build_surface_field(mesh: TriangleMesh, cell_m: float | None = None) -> SurfaceField:
+def build_surface_field(
+    mesh: TriangleMesh, cell_m: float | None = None, keep: Keep = lambda find: find()
+) -> SurfaceField:
     """Return the field of a mesh, built at its first use. The fields used last are kept, up to KEPT_BYTES.
 
     Equal meshes share one field, for instance two that are loaded from the same file.
     Its cells have the side `cell_m`, metres; CELL_M by default. Cells of twice this side take an eighth of the memory
     and about a quarter of the time to build. `estimate_distances` is then less exact. Where parts of a surface are near
-    each other, a point may miss the nearest one.
+    each other, a point may miss the nearest one. `keep` is as for `SurfaceField.of`.
     """
     side_m = CELL_M if cell_m is None else cell_m
-    return _fields.get((mesh.digest, side_m), lambda: SurfaceField.of(mesh, cell_m=side_m))
+    return _fields.get((mesh.digest, side_m), lambda: SurfaceField.of(mesh, cell_m=side_m, keep=keep))
 
 
 @njit

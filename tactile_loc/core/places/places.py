@@ -165,22 +165,18 @@ def join_patches(runs: NDArray[np.uint32], changes: NDArray[np.uint8]) -> NDArra
     `runs` are the numbers of consecutive pixels without surface and with surface, in turn, beginning with pixels
     without surface. `changes` are the differences, modulo 256, between consecutive pixels with surface.
     """
-    pixels = np.empty(int(runs.sum(dtype=np.int64)), np.uint8)
+    pixels = np.full(int(runs.sum(dtype=np.int64)), FAR, np.uint8)
     _fill_pixels(runs, changes, pixels)
     return pixels.reshape(-1, PATCH_PX, PATCH_PX)
 
 
 @njit
 def _fill_pixels(runs, changes, pixels):
-    """Fill `pixels` (P,) from `runs` and `changes`."""
-    pixel, change, value = 0, 0, 0
-    for k in range(len(runs)):
-        end = pixel + runs[k]
-        if k % 2 == 0:
-            pixels[pixel:end] = FAR
-        else:
-            for i in range(pixel, end):
-                value += changes[change]
-                pixels[i] = value & 255
-                change += 1
-        pixel = end
+    """Fill the pixels (P,) with surface from `runs` and `changes`; the others are FAR."""
+    pixel, change, value = 0, 0, np.uint8(0)
+    for k in range(1, len(runs), 2):
+        pixel += runs[k - 1]
+        for _ in range(runs[k]):
+            value = np.uint8(value + changes[change])
+            pixels[pixel] = value
+            pixel, change = pixel + 1, change + 1

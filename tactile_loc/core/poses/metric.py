@@ -177,7 +177,12 @@ class PoseGrid:
         """
         if self._level is not None:
             return self._level[0].spacing_m
-        some = np.linspace(0, len(self) - 1, min(len(self), SPACING_SAMPLE)).astype(int)
+        if len(self) <= SPACING_SAMPLE:  # a tree would only take longer
+            points = self.metric.embed_orbits(self.T_sensor_object)[0]
+            distances_m = measure_distances(points, points)
+            np.fill_diagonal(distances_m, np.inf)
+            return float(distances_m.min(axis=1).mean())
+        some = np.linspace(0, len(self) - 1, SPACING_SAMPLE).astype(int)
         points = self.metric.embed_orbits(self.T_sensor_object[some])[0]
         return float(self._orbit_tree.query(points, k=2)[0][:, 1].mean())
 

@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Float32, Floats, Ints
-from tactile_loc.core.sensing.clouds import make_contact_cloud, make_interior_cloud, make_outline_cloud
+from tactile_loc.core.sensing.clouds import (
+    find_nearest_contact,
+    make_contact_cloud,
+    make_interior_cloud,
+    make_outline_cloud,
+)
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 
@@ -141,8 +146,6 @@ def _image_mm(surface: ContactShape, geometry: SensorGeometry, gel_mm: Floats) -
 
     `gel_mm` is the z, mm, of the undeformed gel, one number or (H, W).
     """
-    from scipy.ndimage import distance_transform_edt
-
     contact = surface.contact & geometry.observed_mask
     z_m = np.asarray(surface.depth_m + geometry.full_penetration_m, float)
     if surface.press_slack_m:
@@ -153,8 +156,7 @@ def _image_mm(surface: ContactShape, geometry: SensorGeometry, gel_mm: Floats) -
     known = _find_least(geometry.observed_mask)
     image[..., 0] = np.where(known, np.where(lowest < np.inf, lowest, -free), np.nan)
     if contact.any():
-        nearest = distance_transform_edt(~contact, return_distances=False, return_indices=True)
-        rows, columns = nearest[:, :-1, :-1]
+        rows, columns = (nearest[:-1, :-1] for nearest in find_nearest_contact(contact))
         k, (x, y) = z_m[rows, columns] if geometry.is_pinhole else 1.0, geometry.pixel_slopes
         image[..., 1:] = np.stack([x[columns] * k, y[rows] * k], axis=-1) * MILLI
     return image

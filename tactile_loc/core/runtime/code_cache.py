@@ -24,6 +24,7 @@ from numba.core import config, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 from tactile_loc.core.runtime.caches import find_user_cache
+from tactile_loc.core.runtime.lazy import pause_collection
 
 logger = logging.getLogger(__name__)
 
@@ -156,7 +157,8 @@ class _CodeCache(FunctionCache):  # type: ignore[misc]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code for a signature, or None."""
         try:
-            return super().load_overload(sig, target_context)
+            with pause_collection():
+                return super().load_overload(sig, target_context)
         except Exception:  # noqa: BLE001 - unpickling a damaged file may raise anything
             logger.debug("The compiled code of %s is damaged.", self._name)
             with suppress(OSError):

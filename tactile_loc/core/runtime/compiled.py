@@ -18,6 +18,8 @@ from typing import Any, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
+from tactile_loc.core.runtime.lazy import pause_collection
+
 PARTS = 4  # parts per thread; a thread that finishes early takes another part
 
 FASTMATH = {"nsz", "arcp", "contract"}  # for `fast`; infinities and NaN keep their meaning
@@ -34,25 +36,30 @@ class Kernel:
 
     def __init__(self, function: Callable[..., Any], fast: bool) -> None:
         update_wrapper(self, function)
-        self._function, self._fast, self._compiled = function, fast, None
+        self._function, self._fast, self._compiled, self._inner = function, fast, None, None
 
     @property
     def compiled(self) -> Any:
         """numba's dispatcher of the function, or the function itself under NUMBA_DISABLE_JIT."""
         if self._compiled is None:
-            with _one_compiler:  # several threads call a kernel for the first time
+            with _one_compiler, pause_collection():  # several threads call a kernel for the first time
                 self._compiled = self._compiled or self._compile()
         return self._compiled
 
     def _compile(self) -> Any:
-        from numba import config, njit
+        from numba import config
 
         from tactile_loc.core.runtime.code_cache import keep_code
 
-        # C programs do not call these functions, so wrappers for C would only take time to compile
-        options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-        compiled = njit(self._function, fastmath=FASTMATH if self._fast else False, **options)
+        compiled = self._make_dispatcher()
         return compiled if config.DISABLE_JIT else keep_code(compiled)  # type: ignore[attr-defined]
+
+    def _make_dispatcher(self, **options: bool) -> Any:
+        from numba import njit
+
+        # C programs do not call these functions, so wrappers for C would only take time to compile
+        options |= {"nogil": True, "no_cfunc_wrapper": True}
+        return njit(self._function, fastmath=FASTMATH if self._fast else False, error_model="numpy", **options)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the compiled function."""
@@ -60,10 +67,12 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """numba's type of this function, for kernels that call it."""
+        """numba's type of this function, for kernels that call it. Their code contains its code, without a wrapper."""
         from numba import typeof
 
-        return typeof(self.compiled)
+        with _one_compiler:
+            self._inner = self._inner or self._make_dispatcher(no_cpython_wrapper=True)
+        return typeof(self._inner)
 
 
 def njit(function: Callable[..., Any] | None = None, *, fast: bool = False) -> Any:

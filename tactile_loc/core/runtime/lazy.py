@@ -1,10 +1,11 @@
 """Modules whose names are imported at their first use, and modules that are imported ahead of it."""
 
 import ast
+import gc
 import importlib
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from threading import Thread
 from typing import Any
 
@@ -24,7 +25,8 @@ def lazy_names(
 
     def attribute(name: str) -> Any:
         if name in homes:
-            return getattr(importlib.import_module(homes[name]), name)
+            with pause_collection():
+                return getattr(importlib.import_module(homes[name]), name)
         if name in made:
             return made[name]()
         raise AttributeError(f"module {module!r} has no attribute {name!r}")
@@ -38,6 +40,24 @@ def _imports_for_type_checkers(source: str) -> dict[str, str]:
     body = next(block.body for block in blocks if ast.unparse(block.test) == "TYPE_CHECKING")
     statements = (node for node in body if isinstance(node, ast.ImportFrom))
     return {alias.name: str(node.module) for node in statements for alias in node.names}
+
+
+@contextmanager
+def pause_collection() -> Iterator[None]:
+    """Do not look for garbage until the block ends, and count all objects as old then.
+
+    It is for imports, which make many objects that stay.
+    """
+    looks = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if looks and not gc.get_freeze_count():
+            gc.freeze()
+            gc.unfreeze()  # into the oldest generation
+        if looks:
+            gc.enable()
 
 
 def import_ahead(*modules: str) -> Thread:

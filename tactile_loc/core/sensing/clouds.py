@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import Bools, Floats
+from tactile_loc.core.geometry.rigid import Bools, Floats, Ints
 from tactile_loc.core.runtime.compiled import njit
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
@@ -65,6 +65,19 @@ def make_interior_cloud(shape: ContactShape, geometry: SensorGeometry) -> tuple[
     halfway = geometry.full_penetration_m + shape.press_depth_m - slack_m
     points = geometry.backproject(np.broadcast_to(halfway, geometry.shape))[contact]
     return points, np.broadcast_to([0.0, 0.0, -1.0], points.shape), slack_m
+
+
+def find_nearest_contact(contact: Bools) -> tuple[Ints, Ints]:
+    """Return the row and the column (H, W) of the pixel in contact nearest to each pixel, given contact (H, W).
+
+    If two pixels are equally near, that of the lower column is taken, and then that of the lower row. Raises ValueError
+    without contact.
+    """
+    if not contact.any():
+        raise ValueError("no pixel is in contact")
+    rows, columns = np.full(contact.shape, -1), np.full(contact.shape, -1)
+    fill_nearest_contact(np.ascontiguousarray(contact), rows, columns)
+    return rows, columns
 
 
 def _measure_slopes(mask: Points) -> Points:
@@ -240,3 +253,43 @@ def find_difference(row, column, down, right, z, contact, rays):
     if count == 0:
         return TINY * right, TINY * down, 0.0
     return s0 / count, s1 / count, s2 / count
+
+
+@njit
+def fill_nearest_contact(contact, rows, columns):
+    """Fill `rows` and `columns` (H, W), which are -1, as `find_nearest_contact` describes.
+
+    Felzenszwalb and Huttenlocher, Distance Transforms of Sampled Functions, 2012: the squared distance along a row of
+    pixels is the lower envelope of one parabola for each column.
+    """
+    height, width = contact.shape
+    near, centres, begins = np.full(contact.shape, -1), np.empty(width, np.int64), np.empty(width + 1, np.int64)
+    for c in range(width):  # first, the nearest row in the same column
+        last = -1
+        for r in range(height):
+            last = r if contact[r, c] else last
+            near[r, c] = last
+        last = -1
+        for r in range(height - 1, -1, -1):
+            last = r if contact[r, c] else last
+            if last >= 0 and (near[r, c] < 0 or last - r < r - near[r, c]):
+                near[r, c] = last
+    for r in range(height):
+        count = 0
+        for c in range(width):
+            if near[r, c] < 0:
+                continue
+            begin, added = 0, (near[r, c] - r) ** 2 + c * c
+            while count > 0:
+                before = centres[count - 1]  # its parabola is the higher one from column `begin` on
+                begin = (added - (near[r, before] - r) ** 2 - before * before) // (2 * (c - before)) + 1
+                if begin > begins[count - 1]:
+                    break
+                count, begin = count - 1, 0
+            if begin < width:
+                centres[count], begins[count], count = c, begin, count + 1
+        begins[count], k = width, 0
+        for c in range(width):
+            while begins[k + 1] <= c:
+                k += 1
+            rows[r, c], columns[r, c] = near[r, centres[k]], centres[k]

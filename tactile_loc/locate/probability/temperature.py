@@ -55,12 +55,10 @@ class TemperatureScaling:
 
         A higher score means more similar. A score of -inf gives -inf.
         """
-        from scipy.special import log_softmax  # scipy takes a while to import
-
-        sharp = np.asarray(log_softmax(np.asarray(scores, np.float64) / self.temperature, axis=-1))
+        sharp = _log_softmax(np.asarray(scores, np.float64) / self.temperature)
         if self.tail == 0:
             return sharp
-        wide = log_softmax(np.asarray(scores, np.float64) / (TAIL_HEAT * self.temperature), axis=-1)
+        wide = _log_softmax(np.asarray(scores, np.float64) / (TAIL_HEAT * self.temperature))
         return np.logaddexp(np.log1p(-self.tail) + sharp, np.log(self.tail) + wide)
 
     def posterior(self, grid: PoseGrid, scores: NDArray[np.floating]) -> PosePosterior:
@@ -105,3 +103,9 @@ def _losses(scores: Floats, index: int, tried: Sequence[TemperatureScaling]) -> 
     p = {t: np.exp(above[index] / t) / np.exp(above / t).sum() for t in temperatures}
     mixed = np.array([(1 - c.tail) * p[c.temperature] + c.tail * p[TAIL_HEAT * c.temperature] for c in tried])
     return -np.log(np.maximum(mixed, LEAST))
+
+
+def _log_softmax(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the logarithms of the softmax (..., N) of x (..., N). scipy's function would take a while to import."""
+    below = x - x.max(axis=-1, keepdims=True)
+    return np.asarray(below - np.log(np.exp(below).sum(axis=-1, keepdims=True)))

@@ -27,6 +27,7 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig, choose_component
 from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.sources.scoring import NewMatcher, Scores
+from tactile_loc.locate.stored_object import load_surface_field
 from tactile_loc.slots.encoder import Encoder
 from tactile_loc.slots.grid import GridSampler
 from tactile_loc.slots.registry import registry
@@ -142,6 +143,7 @@ class PoseSource(ABC):
         others search them.
         """
         require_one_kind(sources)
+        self.load_field()
         alone = []
         for view, source in zip(views, sources, strict=True):
             scaling = source.temperature_scaling  # perhaps fitted first, with its own progress
@@ -201,6 +203,11 @@ class PoseSource(ABC):
     def prepare(self, press_depth_m: float) -> None:
         """Build or load what a touch of this press depth, metres, needs."""
         _ = self.trained
+        self.load_field()
+
+    def load_field(self) -> None:
+        """Build or load the field of the object's surface, in which poses are registered."""
+        load_surface_field(self.setup.scene.object, self.setup.store)
 
     @abstractmethod
     def count_poses(self) -> dict[str, Any]:

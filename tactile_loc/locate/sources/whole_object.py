@@ -84,6 +84,7 @@ class WholeObjectSource(PoseSource):
         if len(views) == 1:
             return super().search(views, sources, times, prior)
         require_one_kind(sources)
+        self.load_field()
         searches = [source.place_search for source in sources if isinstance(source, WholeObjectSource)]
         return search_together(views, searches, times, prior).rate(views, sources, self.place_search.metric)
 

@@ -23,7 +23,9 @@ from tactile_loc.core.geometry.rigid import (
     rotation_about,
     rotation_angle,
     rotation_to_quaternion,
+    rotation_to_vector,
     transform_points,
+    vector_to_rotation,
 )
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 
@@ -229,3 +231,20 @@ def test_small_negative_numbers_are_written_as_zero():
     T = make_transform(rotation_about([1e-9, -1e-9, 1], 0.5), [-1e-9, 0.001, -2e-6])
     assert format_pose(T) == ["0.00", "1.00", "0.00", "28.6", "(0.000, 0.000, 1.000)"]
     assert format_pose_words(T).place == "0.0, 1.0, 0.0"
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1e-12, 1e-6, 0.3, 2.0, np.pi - 1e-9, np.pi])
+def test_vectors_and_quaternions_agree_with_scipy_at_any_angle(angle_rad):
+    axes = np.random.default_rng(0).normal(size=(2, 50, 3))
+    vectors = angle_rad * axes / np.linalg.norm(axes, axis=-1, keepdims=True)
+    expected = Rotation.from_rotvec(vectors.reshape(-1, 3))
+    R = vector_to_rotation(vectors)
+    np.testing.assert_allclose(R.reshape(-1, 3, 3), expected.as_matrix(), atol=1e-14)
+    q = rotation_to_quaternion(R).reshape(-1, 4)
+    same = np.abs(np.einsum("nk,nk->n", q, expected.as_quat(scalar_first=True)))
+    np.testing.assert_allclose(same, 1.0, atol=1e-14)
+    assert (q[:, 0] >= 0).all()
+    back = rotation_to_vector(R)
+    np.testing.assert_allclose(vector_to_rotation(back), R, atol=1e-14)
+    if angle_rad < 3.0:
+        np.testing.assert_allclose(back, vectors, atol=1e-14)

@@ -3,10 +3,17 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from tactile_loc.core.geometry.rigid import make_translation
-from tactile_loc.core.sensing.clouds import OUTLINE_PX, OUTLINE_REACH_PX, SIDES, make_contact_cloud, make_outline_cloud
+from tactile_loc.core.sensing.clouds import (
+    OUTLINE_PX,
+    OUTLINE_REACH_PX,
+    SIDES,
+    find_nearest_contact,
+    make_contact_cloud,
+    make_outline_cloud,
+)
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, compute_contact_depth
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
@@ -158,3 +165,19 @@ def test_a_step_within_the_contact_is_no_wall(camera):
     shape.depth_m[30:40, 30:40] = 0.001
     points, _ = make_contact_cloud(shape, camera)
     assert len(points) == len(make_contact_cloud(square(camera, 20, 50), camera)[0])
+
+
+@pytest.mark.parametrize("share", [0.002, 0.05, 0.5, 1.0])
+def test_nearest_contact_is_as_near_as_in_a_distance_transform(share):
+    contact = np.random.default_rng(0).random((37, 52)) < share
+    contact[5, 7] = True
+    rows, columns = find_nearest_contact(contact)
+    down, right = np.indices(contact.shape)
+    assert contact[rows, columns].all()
+    squared = (rows - down) ** 2 + (columns - right) ** 2
+    np.testing.assert_allclose(np.sqrt(squared), distance_transform_edt(~contact), atol=1e-9)
+
+
+def test_nearest_contact_needs_contact():
+    with pytest.raises(ValueError, match="contact"):
+        find_nearest_contact(np.zeros((4, 5), bool))
