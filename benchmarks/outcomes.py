@@ -76,10 +76,8 @@ NUMBERS = [0, 1, 2, 9, 3, 4, 5, 6]  # of the generated parts of each family
 QUANTILE = 0.998  # of the share that right poses leave unexplained; beyond it, a fit is poor
 SCORES = 2000  # of examples for conformal sets
 NEARLY = 0.01  # of the diagonal of a part
-SENSOR_M, STATED_M = (
-    (3e-4, 3e-3),
-    (1e-4, 6e-4),
-)  # standard errors of sensor poses; per metre, they also turn by 1000 deg
+# standard errors of sensor poses; per metre, they also turn by 1000 deg
+SENSOR_M, STATED_M = (3e-4, 3e-3), (1e-4, 6e-4)
 
 
 def list_parts(numbers: Sequence[int], folder: Path) -> Iterator[tuple[str, str, str]]:

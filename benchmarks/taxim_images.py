@@ -70,10 +70,8 @@ NEAR_M = 1e-3
 TIPS = ("cone, 45°", "cone, 30°", "corner of a cube", "ridge, 90°", "ridge, 60°", "ball, 3 mm")
 TIP_MM = (0.3, 0.6, 0.9)
 TIP_PLACES = 4
-COVERED, NEARLY = (
-    2.0,
-    0.05,
-)  # errors of a press that its uncertainty covers, standard deviations; share that is no error
+COVERED = 2.0  # errors of a press that its uncertainty covers, standard deviations
+NEARLY = 0.05  # share of a press that is no error
 
 
 def press(sensor: TaximGel, depth_m: Float32, press_m: float) -> tuple[Float32, Image]:

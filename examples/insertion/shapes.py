@@ -13,10 +13,7 @@ Points = NDArray[np.float64]
 
 SIDES = 64  # of the polygons that stand for circles
 ROUND = 12  # a shank that fits in so many rotations is round
-TIP_Z_M, SEAT_Z_M = (
-    -44e-3,
-    -26e-3,
-)  # the shank's tip; the height at which the plate's surface is when the part is seated
+TIP_Z_M, SEAT_Z_M = -44e-3, -26e-3  # of the shank's tip, and of the plate's surface when the part is seated
 TIP_CHAMFER_M, MOUTH_CHAMFER_M = 5e-4, 5e-4
 WALL_M, SPARE_DEPTH_M, BOTTOM_M = 25e-3, 2e-3, 3e-3
 

@@ -93,11 +93,11 @@ class ImageLocator:
         return located.T_sensor_object is not None and has_verdict
 
     def _locate(self, image: Any, T_base_sensor: Floats | None) -> LocatedImage:
+        touch: Touch | None = None
+        says = ""
         if self._tracker is None:
             touch = self.read_touch(image, T_base_sensor)
             return LocatedImage(self._estimator(touch), touch)
-        touch: Touch | None = None
-        says = ""
         try:
             touch = self.read_touch(image, T_base_sensor)
         except NoContactError as error:

@@ -35,11 +35,15 @@ if TYPE_CHECKING:
 UNITS_PER_M = 100.0  # one unit of the view is 1 cm, because cameras of the view do not come near small objects
 MOST_FACES = 20_000  # triangles of the object in the view
 PALETTE = Palette()
-BEST, TRUTH, REST, GEL, HOUSING, TOUCHED, NEXT, EXPECTED = (
-    tuple(round(255 * share) for share in Palette.rgb(colour))
-    for colour in (PALETTE.best, PALETTE.truth, "#a9b1bb", PALETTE.gel, PALETTE.housing, PALETTE.contact, PALETTE.next,
-                   PALETTE.expected)
-)  # fmt: skip
+
+
+def _mix(colour: str) -> tuple[int, ...]:
+    """Return a colour of the palette as red, green and blue, 0 to 255."""
+    return tuple(round(255 * share) for share in Palette.rgb(colour))
+
+
+BEST, TRUTH, REST, GEL = map(_mix, (PALETTE.best, PALETTE.truth, "#a9b1bb", PALETTE.gel))
+HOUSING, TOUCHED, NEXT, EXPECTED = map(_mix, (PALETTE.housing, PALETTE.contact, PALETTE.next, PALETTE.expected))
 SKY = np.linspace([236, 241, 246], [252, 253, 254], 64)[::-1, None].astype(np.uint8)  # behind the scene
 GIZMO = 0.8  # length of the finger's arrows, in widths of the gel
 GRID_MM, FLOOR = 10.0, 4.0  # cells of the floor, and the floor's side in sizes of the object
@@ -54,10 +58,7 @@ NEAR, FAR = 0.1, 500.0  # range that the camera of the view sees, in units of th
 FROM = np.array([0.52, -0.70, 0.49])  # direction, of length 1, from which the object is seen at first
 ROOM = 1.1  # space around the object when it is framed
 PHONE_ASPECT = 0.6  # of a narrow page, on which the controls are a drawer
-COVERED, PHONE_COVERED = (
-    (0.08, 0.02),
-    (0.13, 0.2),
-)  # by the card above and the drawer below, shares of the view's height
+COVERED, PHONE_COVERED = (0.08, 0.02), (0.13, 0.2)  # shares of the view's height, by the card above and drawer below
 GHOST, MOST_WEIGHTS = 0.35, 5  # largest opacity of a pose that is not chosen, and largest number of written weights
 
 
