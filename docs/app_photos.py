@@ -17,7 +17,7 @@ from tactile_loc.sensors.optics.simulate import press_gel, render_touches
 
 PHOTO_PX, MM_PER_PX, BALL_MM, BALLS = (320, 240), 0.0634, 6.0, 20  # size of photos, scale, diameter, and presses
 PLACES = (-6e-3, 6e-3), (-4e-3, 4e-3), (3e-4, 1e-3)  # ranges of the presses' x, y and depth, metres
-PHOTOS, PART_MM = 3, 0.6  # number of photos of the part, and its press
+PHOTOS, PART_MM = (3, 4, 5, 6), 0.6  # numbers of photos of the part that are tried, and its press
 
 
 def choose_camera() -> tuple[SensorGeometry, Optics]:
@@ -46,10 +46,10 @@ def photograph_balls(folder: Path, rng: np.random.Generator) -> tuple[Path, Path
     return untouched, photos
 
 
-def photograph_part(session: Session, path: Path, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Write an archive of simulated photos of the session's object, with their list; return the pose (4, 4), metres.
+def photograph_part(session: Session, path: Path, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Write an archive of `count` simulated photos of the session's object, with their list; return its pose (4, 4).
 
-    The pose is that of the object in the base frame.
+    The pose is in the base frame, in metres.
     """
     geometry, lamps = choose_camera()
     sensor = path.with_name("camera.toml")
@@ -58,7 +58,7 @@ def photograph_part(session: Session, path: Path, rng: np.random.Generator) -> N
     camera = Localizer.create(
         chosen.path, units=chosen.units, sensor={"name": "file", "path": str(sensor)}, store=session.localizers.store
     )
-    touches = camera.simulate_together(PHOTOS, seed=1, press_depth_m=1e-3 * PART_MM)
+    touches = camera.simulate_together(count, seed=1, press_depth_m=1e-3 * PART_MM)
     untouched = render_background(geometry, lamps)
     with zipfile.ZipFile(path, "w") as archive:
         for touch in touches:

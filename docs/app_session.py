@@ -333,20 +333,21 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
                 visitor.browser.save_screenshot(str(pictures / "app-calibration.png"))
             visitor.click("Use this sensor")
             visitor.await_text("is the sensor now")
-            T = photograph_part(page.session, folder / "touches.zip", np.random.default_rng(0))
             visitor.open_tab("Locate")
             visitor.click_text("Touches from files")
             note("")
-            visitor.upload("Upload a touch or a list", folder / "touches.zip")
-            wait_until(lambda: len(page.session.touches) == PHOTOS, "the photos do not arrive")
-            note(f"read a list of {PHOTOS} simulated photos with this sensor")
-            visitor.click("Locate")
-            visitor.await_text("Located in", 600.0)
-            note("locate from these photos, and build the model for this sensor")
-            best = list_poses(page.session.require_result())[0]
-            away_m = float(PoseMetric(page.session.object).symmetric_distance(best[None], T[None])[0])
-            rows.append(("verdict from these photos", str(page.session.require_result().verdict)))
-            rows.append(("distance of the first pose from the true one", f"{1e3 * away_m:.2f} mm"))
+            for count in PHOTOS:  # touch again until the pose is certain
+                T = photograph_part(page.session, folder / "touches.zip", count, np.random.default_rng(0))
+                visitor.upload("Upload a touch or a list", folder / "touches.zip")
+                wait_until(lambda count=count: len(page.session.touches) == count, "the photos do not arrive")
+                visitor.click("Locate")
+                wait_until(lambda: page.session.result, "no result", 600.0)
+                found = page.session.require_result()
+                rows.append((f"verdict from {count} simulated photos", str(found.verdict)))
+                if found.verdict == "certain":
+                    break
+            away_m = float(PoseMetric(page.session.object).symmetric_distance(list_poses(found)[0][None], T[None])[0])
+            rows.append(("error of the first pose", f"{1e3 * away_m:.2f} mm"))
             if shots is not None:
                 take_shots(server, visitor, shots)
         finally:

@@ -45,6 +45,19 @@ def test_an_error_and_warnings_are_shown_and_a_program_error_without_a_traceback
     assert "Traceback" in caplog.text
 
 
+def test_notes_on_an_object_are_shown_once_and_not_as_warnings(client, tmp_path):
+    notices = Notices(client, tmp_path)
+    note = "part.stl is read as 40 mm; give `units` m to confirm the unit"
+
+    def work() -> None:
+        library.warning(note)
+        notices.tell_once((note,))
+
+    for _ in range(2):
+        notices.attempt(work)
+    assert client.shown == [("Note", "part.stl is read as 40 mm.", "blue")]
+
+
 def test_warnings_of_other_threads_are_not_shown(client, tmp_path):
     def work() -> None:
         other = threading.Thread(target=library.warning, args=("of somebody else",))

@@ -27,6 +27,7 @@ CONTROLS = {
     "camera": '"Camera"',
     "sensor": '"Sensor"',
     "units": '"Unit of own files"',
+    "zero": '"Upload the photo without contact"',
 }
 """The page's control for each setting that messages of the library name."""
 
@@ -36,6 +37,7 @@ class Notices:
 
     def __init__(self, client: ClientHandle, folder: Path) -> None:
         self.client, self.folder = client, folder
+        self._told: set[str] = set()
 
     def guard(self, work: Callable[[], None]) -> Callable[[Any], None]:
         """Return a callback that does the work, unless the program set the value. It shows errors as notifications."""
@@ -57,7 +59,15 @@ class Notices:
                 logger.exception("the page failed")
                 self.notify("The program failed", f"{type(error).__name__}: {error}", "red")
         for text in dict.fromkeys(warnings):
-            self.notify("Warning", self._word(text), "yellow")
+            if text not in self._told:
+                self.notify("Warning", self._word(text), "yellow")
+
+    def tell_once(self, notes: tuple[str, ...]) -> None:
+        """Show the facts of notes about an object once a visit, although the library warns at each use of it."""
+        for text in notes:
+            if text not in self._told:
+                self._told.add(text)
+                self.notify("Note", f"{self._word(text.partition('; ')[0])}.")
 
     def show_error(self, error: TactileLocError) -> None:
         """Show an error as a notification."""

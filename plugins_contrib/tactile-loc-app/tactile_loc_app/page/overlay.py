@@ -72,9 +72,11 @@ def describe_verdict(found: Localization) -> str:
     """Return one sentence: how sure the first pose is, or what to do."""
     touches = len(found.touches)
     base = f"{touches} touch{'' if touches == 1 else 'es'}: "
-    share = found.probability_within()
-    if str(found.verdict) == "certain" and share is not None:
-        return f"{base}the pose is within {found.tolerance.describe()} with {format_percent(share)} probability."
+    share, one_fits = found.probability_within(), len(found.equal_explanations) == 1
+    within = "" if share is None else f"within {found.tolerance.describe()} with {format_percent(share)} probability"
+    if str(found.verdict) == "certain" and within:
+        return f"{base}the pose is {within}."
     if str(found.verdict) == "ambiguous":
-        return f"{base}{found.count_explanations()}. Touch again."
+        state = f"the first pose is {within}" if one_fits and within else found.count_explanations()
+        return f"{base}{state}. Touch again."
     return f"{base}{found.summary().splitlines()[0].partition(': ')[2]}."

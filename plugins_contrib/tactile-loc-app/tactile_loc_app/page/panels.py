@@ -145,8 +145,6 @@ class VisitorPage:
         self.session.upload_object(*take_upload(self.upload), cast(Units, self.units.value))
         self.objects.value = OWN
         self._show_object()
-        for note in self.session.object.notes:
-            self.notices.notify("Note", note)
 
     def _choose_sensor(self) -> None:
         self.sensor_path.visible = self.use_sensor.visible = self.sensors.value == OWN
@@ -162,8 +160,6 @@ class VisitorPage:
         """Take the sensor that the visitor calibrated."""
         self.session.choose_sensor(str(made.folder))
         self.sensors.value = OWN
-        self.sensor_path.value = str(made.folder)
-        self.sensor_path.visible = self.use_sensor.visible = True
         self._show_object()
         self.notices.notify(f"{made.folder.name} is the sensor now", "Go to the tab Locate. Its touches were removed.")
 
@@ -172,7 +168,11 @@ class VisitorPage:
         session, geometry = self.session, self.session.scene.geometry
         obj, size_mm = session.object, 1e3 * session.object.mesh.extents_m
         size = " x ".join(f"{length:.1f}" for length in size_mm)
-        self.about.fill("**{}**: {} mm, symmetry {}", obj.name, size, obj.symmetry)
+        symmetry = "no symmetry" if obj.symmetry.is_trivial else f"symmetry {obj.symmetry}"
+        sensor = session.localizer.config.sensor
+        name = Path(str(sensor.options["path"])).name if "path" in sensor.options else sensor.name
+        self.about.fill("**{}**: {} mm, {}. Sensor: {}", obj.name, size, symmetry, name)
+        self.notices.tell_once(obj.notes)
         self.view.show_object(obj, geometry)
         gizmo = self.view.add_finger_gizmo(session.T_base_sensor, geometry)
         gizmo.on_update(self._follow_drag)
