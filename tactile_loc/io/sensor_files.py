@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.bases.depth_sensor import GelOptions
-from tactile_loc.core.runtime.errors import ConfigError, SensorError
+from tactile_loc.core.runtime.errors import ConfigError, SensorError, name_source
 from tactile_loc.core.sensing.gel import RIGID, GelKind
+from tactile_loc.core.sensing.photo_map import FACTORS, PhotoMap, even_scales
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 from tactile_loc.io.images import UNREADABLE, load_image, write_image
 from tactile_loc.io.toml import POSITIVE_MM, Finite, Positive, format_toml, name_errors, read_toml
@@ -26,7 +27,27 @@ CALIBRATION = "calibration.json"  # a file that every calibration folder holds
 
 SMALLEST_M, LARGEST_M = 1e-3, 1.0  # limits of a plausible side of the gel that an image shows
 
+SAME_SCALE = 0.01  # largest relative difference between the scales of x and y that are taken for equal
+
 PositiveInt = Annotated[int, Field(gt=0)]
+
+
+_Two = Annotated[list[Finite], Field(min_length=2, max_length=2)]
+
+
+class PhotoKeys(BaseModel):
+    """The keys of a map from the camera's photos to the sensor's image: see `PhotoMap`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    size_px: Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
+    corners_px: Annotated[list[_Two], Field(min_length=4, max_length=4)]
+    camera: Annotated[list[Finite], Field(min_length=4, max_length=4)] | None = None
+    distortion: Annotated[list[Finite], Field(max_length=FACTORS)] = []
+
+    def make_map(self, image_px: tuple[int, int]) -> PhotoMap:
+        """Return the map to images of `image_px` (width, height). Raises SensorError for impossible numbers."""
+        return PhotoMap.of_record(self.model_dump(), image_px)
 
 
 class _SensorFile(BaseModel):
@@ -53,6 +74,11 @@ class _SensorFile(BaseModel):
     )
     gel_coating_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = Field(
         None, description="a number of at least 0 (mm), by default 0"
+    )
+    photo: PhotoKeys | None = Field(
+        None,
+        description="a table with size_px [width, height] and corners_px [[x, y], ...] of the camera's photos, four "
+        "corners from the upper left clockwise, and for a lens camera [fx, fy, cx, cy] and distortion [k1, ...]",
     )
 
 
@@ -84,6 +110,26 @@ def read_sensor_file(path: Path) -> SensorGeometry:
     Raises SensorError when the file, its mask or its surface cannot be read, a key is missing, unknown or ill-typed,
     or the numbers contradict each other.
     """
+    return _read_keys(path)[1]
+
+
+def read_camera(path: Path) -> tuple[SensorGeometry, PhotoMap | None]:
+    """Read a sensor file like `read_sensor_file`, and the map from the camera's photos to the sensor's images, if any.
+
+    If an orthographic sensor states different scales of x and y, the returned sensor has square pixels, and the map
+    resizes the photos. Without a map, the photos are the images.
+    """
+    keys, geometry = _read_keys(path)
+    if keys.photo is not None:
+        with name_source(path):
+            photo_map = keys.photo.make_map((geometry.width_px, geometry.height_px))
+        return photo_map.hide_unseen(geometry), photo_map
+    sx, sy = geometry.scale_at_surface
+    uneven = not geometry.is_pinhole and abs(sx / sy - 1) > SAME_SCALE
+    return even_scales(geometry) if uneven else (geometry, None)
+
+
+def _read_keys(path: Path) -> tuple[_Pinhole | _Orthographic, SensorGeometry]:
     try:
         values = read_toml(path)
     except ConfigError as error:
@@ -91,7 +137,8 @@ def read_sensor_file(path: Path) -> SensorGeometry:
     model = _Orthographic if values.get("camera") == "orthographic" else _Pinhole
     kind = f"an {values['camera']}" if model is _Orthographic else "a pinhole"
     with name_errors(path, model, values, f"{kind} sensor", SensorError, decisive="camera"):
-        return _check_view(_build_geometry(model(**values), path.parent))
+        keys = model(**values)
+        return keys, _check_view(_build_geometry(keys, path.parent))
 
 
 def _build_geometry(keys: _Pinhole | _Orthographic, folder: Path) -> SensorGeometry:
@@ -159,8 +206,11 @@ def is_calibrated_sensor(folder: Path) -> bool:
     return os.path.isfile(folder / CALIBRATION)
 
 
-def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
-    """Write a sensor file, and its mask and surface beside it, and return the path. Raises OSError if that fails."""
+def write_sensor_file(path: Path, geometry: SensorGeometry, photo_map: PhotoMap | None = None) -> Path:
+    """Write a sensor file, and its mask and surface beside it, and return the path. Raises OSError if that fails.
+
+    `photo_map` maps the camera's photos to images of the sensor.
+    """
     mm = 1e3
     pinhole = {"fx": geometry.fx, "fy": geometry.fy}
     values: dict[str, Any] = {
@@ -184,5 +234,7 @@ def write_sensor_file(path: Path, geometry: SensorGeometry) -> Path:
     if geometry.relief_m is not None:
         values |= {"surface": f"{path.stem}_surface.npy"}
         np.save(path.with_name(values["surface"]), geometry.relief_m)
+    if photo_map is not None:
+        values |= {"photo": photo_map.record()}
     path.write_text(format_toml(values), encoding="utf-8")
     return path
