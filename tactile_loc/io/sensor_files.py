@@ -4,6 +4,7 @@ docs/files.md lists the keys of a sensor file. examples/my_sensor.toml is an exa
 """
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,17 +17,18 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactile_loc.bases.depth_sensor import GelOptions
 from tactile_loc.core.runtime.errors import ConfigError, SensorError, name_source
 from tactile_loc.core.sensing.gel import RIGID, GelKind
-from tactile_loc.core.sensing.photo_map import FACTORS, PhotoMap, even_scales
+from tactile_loc.core.sensing.photo_map import FACTORS, Lens, PhotoMap, even_scales
 from tactile_loc.core.sensing.sensor_geometry import Depth, SensorGeometry
 from tactile_loc.io.images import UNREADABLE, load_image, write_image
 from tactile_loc.io.toml import POSITIVE_MM, Finite, Positive, format_toml, name_errors, read_toml
 from tactile_loc.store.arrays import load_npy
-from tactile_loc.store.files import recover_folder
+from tactile_loc.store.files import read_text, recover_folder
 
 CALIBRATION = "calibration.json"  # a file that every calibration folder holds
 
 SMALLEST_M, LARGEST_M = 1e-3, 1.0  # limits of a plausible side of the gel that an image shows
 
+LENS_KEYS = "camera_matrix|K", "distortion_coefficients|dist_coeffs|distortion|D"  # regular expressions
 SAME_SCALE = 0.01  # largest relative difference between the scales of x and y that are taken for equal
 
 PositiveInt = Annotated[int, Field(gt=0)]
@@ -200,10 +202,45 @@ def _guard(problem: str, advice: str) -> Iterator[None]:
         raise SensorError(f"{problem} ({error}); {advice}, by its path relative to the sensor file") from error
 
 
+def read_lens(path: Path) -> Lens:
+    """Read a camera matrix and distortion factors from a file of OpenCV, ROS or one's own: YAML, JSON or TOML.
+
+    The lists of numbers after the keys of LENS_KEYS are read, whatever is around them. Raises SensorError when the file
+    cannot be read, or when it holds no camera matrix.
+    """
+    try:
+        text = read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise SensorError(
+            f"{path} cannot be read as a camera matrix ({error}); give a YAML, JSON or TOML file"
+        ) from error
+    matrix, distortion = (_find_numbers(text, keys) for keys in LENS_KEYS)
+    if matrix is None or len(matrix) != 9 or min(matrix[0], matrix[4]) <= 0:
+        raise SensorError(
+            f"{path} holds no camera matrix; write `camera_matrix` as [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], in pixels"
+        )
+    factors = tuple(distortion or ())
+    if any(factors[FACTORS:]) or re.search("equidistant|fisheye|rational", text):
+        raise SensorError(f"{path} has another model of distortion; give k1, k2, p1, p2 and k3 (plumb_bob)")
+    return Lens(matrix[0], matrix[4], matrix[2], matrix[5], factors[:FACTORS])
+
+
+def _find_numbers(text: str, keys: str) -> list[float] | None:
+    """Return the numbers of the first list, which may hold lists, after a key; None if there is no such list."""
+    found = re.search(rf"\b({keys})\b[^\[]*(\[[^a-df-zA-DF-Z]*\])", text)
+    if found is None:
+        return None
+    return [float(number) for number in re.findall(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", found[2])]
+
+
 def is_calibrated_sensor(folder: Path) -> bool:
     """Return whether `folder` is a calibration folder."""
     recover_folder(folder)
     return os.path.isfile(folder / CALIBRATION)
+
+
+def _join_scales(x: float, y: float) -> float | list[float]:
+    return x if x == y else [x, y]
 
 
 def write_sensor_file(path: Path, geometry: SensorGeometry, photo_map: PhotoMap | None = None) -> Path:
@@ -216,7 +253,7 @@ def write_sensor_file(path: Path, geometry: SensorGeometry, photo_map: PhotoMap 
     values: dict[str, Any] = {
         "camera": geometry.camera,
         "image_size_px": [geometry.width_px, geometry.height_px],
-        **(pinhole if geometry.is_pinhole else {"mm_per_px": [mm / geometry.fx, mm / geometry.fy]}),
+        **(pinhole if geometry.is_pinhole else {"mm_per_px": _join_scales(mm / geometry.fx, mm / geometry.fy)}),
         "cx": geometry.cx,
         "cy": geometry.cy,
         "standoff_mm": mm * geometry.standoff_m,

@@ -199,7 +199,7 @@ def read_touch(
     if image is not None:
         with name_source(path):
             shape = sensor.contact_shape(image)
-        return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=image)
+        return Touch(_cut(shape, str(path), press_depth_m), geometry, path.name, image=sensor.rectify(image))
     contents = read_contents(path, geometry)
     if contents.kind == MASK and kind is None:
         return _build_mask(path, contents, sensor, unit, press_depth_m)
@@ -249,7 +249,7 @@ def touch_from_image(
         return Touch(shape, sensor.geometry, name)
     with note_source(name):
         shape = _cut(sensor.contact_shape(image), name, press_depth_m)
-    return Touch(shape, sensor.geometry, name, image=image if image.ndim == 3 else None)
+    return Touch(shape, sensor.geometry, name, image=sensor.rectify(image) if image.ndim == 3 else None)
 
 
 def write_touch(path: str | Path, touch: Touch) -> Path:

@@ -46,6 +46,13 @@ class SensorModel(Component):
         Raises TouchError if the observation does not fit the sensor.
         """
 
+    def rectify(self, photo: NDArray[Any]) -> NDArray[Any]:
+        """Return a photo as an image (H, W, 3) of the part of the gel that `geometry` sees; by default, the photo.
+
+        `contact_shape` takes the photo as the camera took it.
+        """
+        return photo
+
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the image (H, W, 3) that the sensor's camera would take of a contact shape, with its noise.
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from tactile_loc.sensors.calibration.labelling import LabelledFolder
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
     from tactile_loc.sensors.reading.estimator import EstimatorRecipe
+    from tactile_loc.sensors.reading.rectification import StatedView
 
 DEFAULT_OUT = Path("my_sensor")
 DEFAULT_SENSOR = "gelslim"
@@ -52,8 +55,26 @@ BallRadius = Annotated[
     declare("--ball-radius MM", "Radius of the ball in mm. Needed if neither presses.csv nor the set states it."),
 ]
 PixelSize = Annotated[
-    float | None,
-    declare("--mm-per-px MM", "Size of a pixel on the gel in mm. Needed if neither sensor.toml nor the set states it."),
+    str | None,
+    declare(
+        "--mm-per-px MM[,MM]",
+        "Size of a pixel on the gel in mm, or its width and height. Needed if neither sensor.toml nor the set states "
+        "it, and --corners is not given.",
+    ),
+]
+Corners = Annotated[
+    tuple[float, float, float, float, float, float, float, float] | None,
+    declare(
+        "--corners X Y X Y X Y X Y",
+        "For a tilted view: corners of a rectangle on the gel, in pixels of the photo, clockwise from the upper left.",
+    ),
+]
+GelSize = Annotated[
+    tuple[float, float] | None, declare("--gel-size WIDTH HEIGHT", "With --corners: the size of the rectangle in mm.")
+]
+CameraMatrix = Annotated[
+    Path | None,
+    declare("--camera-matrix FILE", "For a lens: camera matrix and distortion of OpenCV or ROS (YAML, JSON or TOML)."),
 ]
 ImageSize = Annotated[
     tuple[int, int] | None,
@@ -85,6 +106,9 @@ def calibrate(
     background: Untouched = Background.TABLE,
     ball_radius: BallRadius = None,
     mm_per_px: PixelSize = None,
+    corners: Corners = None,
+    gel_size: GelSize = None,
+    camera_matrix: CameraMatrix = None,
     image_size: ImageSize = None,
     curved: Curved = False,
     simulated: Simulated = False,
@@ -115,12 +139,13 @@ def calibrate(
     if folder is None:
         return _calibrate_simulated(sensor, optics, presses, recipe, out, store)
     labels: dict[str, Any] = {}
+    scale, view = _state_view(mm_per_px, corners, gel_size, camera_matrix)
     with tempfile.TemporaryDirectory() as temporary:
-        converted = _convert(folder, Path(temporary), ball_radius, mm_per_px)
+        converted = _convert(folder, Path(temporary), ball_radius, scale, view)
         if converted is not None:
             folder, file = converted, converted / "sensor.toml" if sensor is None else Path(sensor)
         else:
-            labelled = label_presses(folder, sensor, ball_radius, mm_per_px, make_progress())
+            labelled = label_presses(folder, sensor, ball_radius, scale, make_progress(), view)
             labels = _report_labels(labelled, ball_radius)
             folder, file = labelled.folder, labelled.sensor
         reading = FolderReading(background is Background.MEDIAN, image_size, curved)
@@ -138,7 +163,32 @@ def _require_one_source(simulated: bool, folder: Path | None, of_folder: bool, o
         raise ConfigError("--optics and --presses need --simulated; add it, or leave them out")
 
 
-def _convert(source: Path, folder: Path, ball_radius: float | None, mm_per_px: float | None) -> Path | None:
+def _state_view(
+    mm_per_px: str | None, corners: Sequence[float] | None, gel_size: tuple[float, float] | None, lens: Path | None
+) -> tuple[float | None, StatedView | None]:
+    """Return the mean size of a pixel, mm, and what else the options state about the camera's view; None if nothing."""
+    from tactile_loc.io.sensor_files import read_lens
+    from tactile_loc.sensors.reading.rectification import StatedView
+
+    try:
+        scales = [] if mm_per_px is None else [float(text) for text in mm_per_px.split(",")]
+    except ValueError:
+        scales = [math.nan]
+    if len(scales) > 2 or not all(math.isfinite(scale) and scale > 0 for scale in scales):
+        raise ConfigError(f"--mm-per-px cannot be {mm_per_px}; give a positive number, or two as in 0.06,0.05 (mm)")
+    if len(scales) == 2 and (corners or lens):
+        raise ConfigError("--corners and --camera-matrix give the ratio of width and height; give one --mm-per-px")
+    scale = math.prod(scales) ** (1 / len(scales)) if scales else None
+    if len(scales) < 2 and not (corners or gel_size or lens):
+        return scale, None
+    aspect = scales[0] / scales[1] if len(scales) == 2 else 1.0
+    places = tuple(zip(corners[::2], corners[1::2], strict=True)) if corners else ()
+    return scale, StatedView(aspect, places, gel_size, None if lens is None else read_lens(lens))
+
+
+def _convert(
+    source: Path, folder: Path, ball_radius: float | None, mm_per_px: float | None, view: StatedView | None
+) -> Path | None:
     """Name the layout of the photos. If another tool has labelled them, convert them, and return the new folder."""
     from tactile_loc.io.streams.videos import VIDEO_SUFFIXES
     from tactile_loc.sensors.calibration.layouts import convert_presses, recognise_set
@@ -152,7 +202,7 @@ def _convert(source: Path, folder: Path, ball_radius: float | None, mm_per_px: f
         return None
     found = recognise_set(source)
     say(found.describe())
-    return convert_presses(source, folder, ball_radius, mm_per_px).parent if found.circles else None
+    return convert_presses(source, folder, ball_radius, mm_per_px, view).parent if found.circles else None
 
 
 def _parse_options(words: list[str]) -> dict[str, Any]:

@@ -5,6 +5,8 @@ camera's photo. Between them, the map is a homography, and then the distortion o
 the upper left corner of the upper left pixel.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -50,8 +52,9 @@ class Lens:
     def undistort(self, photo_px: Array) -> Array:
         """Undo `distort`. Raises SensorError if the lens shows no point at one of the places."""
         ideal_px = photo_px.astype(np.float64)
-        for _ in range(STEPS):
-            ideal_px = ideal_px + photo_px - self.distort(ideal_px)
+        with np.errstate(over="ignore", invalid="ignore"):  # the steps diverge beyond what the lens shows
+            for _ in range(STEPS):
+                ideal_px = ideal_px + photo_px - self.distort(ideal_px)
         if not np.abs(self.distort(ideal_px) - photo_px).max() < SAME_PX:
             raise SensorError("the lens shows no point at the photo's corners; check the camera matrix and distortion")
         return ideal_px
@@ -96,6 +99,14 @@ class PhotoMap:
         """Return the places (N, 2) in the image of places (N, 2) in the photo, pixels."""
         ideal_px = np.asarray(photo_px, float) if self.lens is None else self.lens.undistort(photo_px)
         return apply_homography(np.linalg.inv(self._homography), ideal_px) * self.image_px
+
+    def move_circle(self, circle: tuple[float, float, float]) -> tuple[float, float, float]:
+        """Return a circle (x, y, radius) in the photo as one of the same area in the image, pixels."""
+        x, y, radius = circle
+        places = np.array([[x, y], [x + radius, y], [x - radius, y], [x, y + radius], [x, y - radius]])
+        middle, right, left, low, high = self.locate_in_image(places)
+        (a, b), (c, d) = (right - left) / 2, (low - high) / 2
+        return float(middle[0]), float(middle[1]), float(np.sqrt(abs(a * d - b * c)))
 
     @cached_property
     def places_px(self) -> Array:
@@ -153,7 +164,11 @@ class PhotoMap:
     def of_record(cls, record: Mapping[str, Any], image_px: tuple[int, int]) -> PhotoMap:
         """Return the map to images of `image_px` (width, height) that `record` describes."""
         (width, height), camera = record["size_px"], record.get("camera")
-        lens = None if camera is None else Lens(*map(float, camera), tuple(map(float, record.get("distortion", ()))))
+        factors = tuple(float(factor) for factor in record.get("distortion", ()))
+        lens = None
+        if camera is not None:
+            fx, fy, cx, cy = (float(one) for one in camera)
+            lens = Lens(fx, fy, cx, cy, factors)
         return cls((int(width), int(height)), image_px, to_corners(np.array(record["corners_px"], float)), lens)
 
 
@@ -197,7 +212,7 @@ def fit_homography(places: Array, others: Array) -> Array:
     return np.asarray(np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3))
 
 
-def apply_homography(homography: Array, places: Array) -> Array:
+def apply_homography(homography: NDArray[np.floating], places: NDArray[np.floating]) -> Array:
     """Return the places (N, 2) to which a homography (3, 3) maps places (N, 2)."""
     x, y, w = homography @ np.stack([*places.T, np.ones(len(places))])
     return np.asarray(np.stack([x / w, y / w], axis=1))

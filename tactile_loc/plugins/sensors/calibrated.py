@@ -44,6 +44,10 @@ class CalibratedSensor(DepthSensor):
             return read_by_laws(seen, self.geometry, known.noise_m, known.false_press_m)
         return find_gel_surface(seen.indentation_m, self.geometry, known.noise_m, known.false_press_m)
 
+    def rectify(self, photo: NDArray[Any]) -> NDArray[Any]:
+        """Return the image of equal scale of a photo (H, W, 3). Raises TouchError for a photo of another size."""
+        return self.calibration.rectify(photo)
+
     def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
         """Return the simulated image (H, W, 3) of a contact shape, with the optics of the calibration's images.
 

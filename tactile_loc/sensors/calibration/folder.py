@@ -14,9 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from tactile_loc.core.runtime.errors import CalibrationError, OutputError, SensorError, TouchError, name_source
 from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.core.sensing.photo_map import PhotoMap
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_photo, write_image
-from tactile_loc.io.sensor_files import CALIBRATION, read_sensor_file, write_sensor_file
+from tactile_loc.io.sensor_files import CALIBRATION, PhotoKeys, read_sensor_file, write_sensor_file
 from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.optics.lamps import Optics
 from tactile_loc.sensors.reading.estimator import GelEstimator, make_estimator
@@ -50,6 +51,7 @@ class _Record(BaseModel):
     options: dict[str, Any]
     noise_m: float
     health: dict[str, float | None] | None = None
+    photo: PhotoKeys | None = None
     camera_px: Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_length=2)] = [1, 1]
 
 
@@ -89,6 +91,22 @@ class Calibration:
         rows, columns = self.record.get("camera_px", self.geometry.shape)
         return int(rows), int(columns)
 
+    @cached_property
+    def photo_map(self) -> PhotoMap | None:
+        """The map from the camera's photos to images of equal scale, or None if the photos are these images."""
+        record, (rows, columns) = self.record.get("photo"), self.camera_px
+        return None if record is None else PhotoMap.of_record(record, (columns, rows))
+
+    def rectify(self, photo: NDArray[Any]) -> NDArray[Any]:
+        """Return the image of equal scale of a camera's photo (H, W, 3). An image of the sensor's size is unchanged.
+
+        Raises TouchError for a photo of another size.
+        """
+        known, shape = self.photo_map, photo.shape
+        if known is None or len(shape) != 3 or photo.dtype != np.uint8:
+            return photo
+        return photo if known.photo_px != shape[1::-1] and shape[:2] == self.geometry.shape else known.rectify(photo)
+
     @property
     def usual_health(self) -> Health | None:
         """The worst health of the training presses, or None if the record has none."""
@@ -120,7 +138,7 @@ class Calibration:
 
     def read(self, image: NDArray[Any], gel: Gel | None = None) -> Seen:
         """Return what an image shows: see `read_indentation`."""
-        image = self.gel.clear_image(require_image(image, self.untouched, self.camera_px))
+        image = self.gel.clear_image(require_image(self.rectify(image), self.untouched, self.camera_px))
         seen = read_gel(self.estimator, image, gel or self.geometry.gel)
         if self.usual_health is not None:
             require_healthy(measure_health(image, self.gel.clear, seen.slopes, self.geometry), self.usual_health)
@@ -135,7 +153,7 @@ class Calibration:
         estimator = self.estimator
         if estimator.read(self.gel.clear)[1] is None:
             raise CalibrationError(f"{self.folder} does not estimate slopes, so it has no checks; use photometric")
-        shown = require_photos(photos, self.camera_px, self.geometry.shape)
+        shown = require_photos([self.rectify(photo) for photo in photos], self.camera_px, self.geometry.shape)
         return Examination(estimator, self.gel, shown, self.record.get(CHECKED, {}))
 
     @property
@@ -153,7 +171,8 @@ class Calibration:
         """Return JSON values that identify the calibration in store keys."""
         files = {name: hash_file(self.folder / name) for name in (BACKGROUND, WEIGHTS)}
         newer = {} if self.untouched is self.background else {"untouched": hash_arrays(image=self.untouched)}
-        return {"geometry": self.geometry.describe(), "estimator": self.record["estimator"], **files, **newer}
+        photo = {"photo": self.record["photo"]} if self.photo_map is not None else {}
+        return {"geometry": self.geometry.describe(), "estimator": self.record["estimator"], **photo, **files, **newer}
 
 
 def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
@@ -196,7 +215,7 @@ def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
     if zero is None:
         return found
     with name_source(f"{zero} (`zero`)"):
-        newer = require_image(read_photo(zero), background, found.camera_px, ZERO_ADVICE)
+        newer = require_image(found.rectify(read_photo(zero)), background, found.camera_px, ZERO_ADVICE)
     return replace(found, untouched=newer)
 
 

@@ -9,17 +9,20 @@ import numpy as np
 
 from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, SensorError
 from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.core.sensing.photo_map import PhotoMap
 from tactile_loc.io.images import write_image
-from tactile_loc.io.sensor_files import read_sensor_file
-from tactile_loc.sensors.calibration.frames import list_pictures, name_frames_folder, read_frames
+from tactile_loc.io.sensor_files import read_camera, write_sensor_file
+from tactile_loc.sensors.calibration.frames import PressImage, list_pictures, name_frames_folder, read_frames
 from tactile_loc.sensors.calibration.labels import STEEPEST
-from tactile_loc.sensors.calibration.press_table import SENSOR, TABLE, read_rows, write_scale, write_table
+from tactile_loc.sensors.calibration.press_table import SENSOR, TABLE, UNTOUCHED, read_rows, write_table
 from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
+from tactile_loc.sensors.reading.markers import UntouchedGel
+from tactile_loc.sensors.reading.rectification import SeenView, StatedView, see_view
 from tactile_loc.store.files import write_atomically
 
 SAME_SCALE = 1e-6
+ROUNDS = 2  # times that photos are rectified as they show; the second time, circles are found in even photos
 SHALLOWEST_MM = 0.05  # least depth of the deepest press; a smaller depth shows that the ball's radius is wrong
-UNTOUCHED = "untouched-gel.png"  # the composed or corrected image of the untouched gel
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +30,8 @@ class LabelledFolder:
     """A `folder` with the table of presses, and the path `sensor` of the sensor's file, which may be missing.
 
     If the table was just written, `found` are the balls in the images, and `depths_mm` are the least and the largest
-    press depth, mm, by their circles. Otherwise, `unlisted` is the number of images that are not in the table.
+    press depth, mm, by their circles. Otherwise, `unlisted` is the number of images that are not in the table. `view`
+    is the view of the gel that the photos show, if it is not the stated one.
     """
 
     folder: Path
@@ -35,6 +39,7 @@ class LabelledFolder:
     found: FoundPresses | None = None
     depths_mm: tuple[float, float] = (0.0, 0.0)
     unlisted: int = 0
+    view: SeenView | None = None
 
     def describe(self) -> list[str]:
         """Return sentences about the images, the images that are not used, and the press depths."""
@@ -48,7 +53,13 @@ class LabelledFolder:
             gel += f" ({found.untouched_names[0]}; since then {found.drift.describe()}; corrected in {UNTOUCHED})"
         dropped = [f"  not used: {press.name}: {press.dropped}" for press in found.presses if press.dropped]
         depths = f"press depths, estimated from the circles: {least_mm:.2f} to {most_mm:.2f} mm"
-        return [f"images: {len(found.used)} with a ball, {gel}", *dropped, f"{depths}; check that they are plausible"]
+        view = [] if self.view is None else [self.view.says]
+        return [
+            *view,
+            f"images: {len(found.used)} with a ball, {gel}",
+            *dropped,
+            f"{depths}; check that they are plausible",
+        ]
 
 
 def label_presses(
@@ -57,12 +68,15 @@ def label_presses(
     ball_radius_mm: float | None,
     mm_per_px: float | None,
     progress: Progress | None = None,
+    view: StatedView | None = None,
 ) -> LabelledFolder:
     """Return the folder of a source with `presses.csv` and its sensor's file.
 
     An existing table is used unchanged. Otherwise, the ball of radius `ball_radius_mm` is detected in the images, and
     the table is written. `sensor` is the sensor's file, by default that in the folder. If there is none, it is written
-    for the scale `mm_per_px`. Raises CalibrationError, ConfigError or SensorError for unusable input.
+    for the scale `mm_per_px` and the `view`. If nothing states how the camera sees the gel, and the photos show that it
+    does not see it straight, they are rectified. Raises CalibrationError, ConfigError or SensorError for unusable
+    input.
     """
     for setting, value in (("ball_radius", ball_radius_mm), ("mm_per_px", mm_per_px)):
         if value is not None and not (math.isfinite(value) and value > 0):
@@ -73,7 +87,8 @@ def label_presses(
         if mm_per_px is not None and file.exists():
             _read_scale(file, mm_per_px)
         elif mm_per_px is not None and sensor is None and folder.is_dir():
-            write_scale(folder, read_frames(folder)[1][0].image.shape[:2], mm_per_px)
+            shape = read_frames(folder)[1][0].image.shape[:2]
+            write_sensor_file(folder / SENSOR, *(view or StatedView()).make_camera(shape, mm_per_px))
         unlisted = 0
         if ball_radius_mm is not None and os.path.exists(source):
             unlisted = _count_unlisted(folder, ball_radius_mm)
@@ -86,23 +101,42 @@ def label_presses(
     if not os.access(source if source.is_dir() else source.parent, os.W_OK):
         raise CalibrationError(f"labels cannot be written beside {source}; copy it to a folder that you may write to")
     if file.is_file():
-        scale = _read_scale(file, mm_per_px)
+        if view is not None:
+            raise ConfigError(f"{file} states the camera's view; remove it, or leave out `corners` and `camera_matrix`")
+        _read_scale(file, mm_per_px)
     elif sensor is not None or file.exists():
         raise SensorError(f"there is no sensor file {file}; write it (docs/files.md), or give `mm_per_px`")
-    elif mm_per_px is None:
+    elif mm_per_px is None and (view is None or view.gel_mm is None):
         raise CalibrationError(
             f"the size of a pixel is unknown; give `mm_per_px` or the sensor file {file}. To measure it, divide the "
             "length of an object on the gel in mm by its length in the image in pixels"
         )
-    else:
-        scale = mm_per_px
     folder, frames = read_frames(source)
-    found = find_presses(frames, ball_radius_mm / scale, progress)
+    stated = file.is_file()
+    camera, photo_map = (
+        read_camera(file) if stated else (view or StatedView()).make_camera(frames[0].image.shape[:2], mm_per_px)
+    )
+    scale = 1e3 * camera.pixel_pitch_m
+    found = find_presses(_rectify_frames(frames, photo_map), ball_radius_mm / scale, progress)
+    seen = None
+    for _ in range(0 if stated or view is not None else ROUNDS):
+        shown = [(one.frame.image, one.circle) for one in found.used if one.circle is not None]
+        better = see_view(UntouchedGel.of(found.untouched), shown, camera, seen)
+        if better is None:
+            break
+        seen = better
+        found = find_presses(_rectify_frames(frames, seen.photo_map), ball_radius_mm / scale, progress)
     depths_mm = _estimate_depths_mm(found, ball_radius_mm, scale)
     _write_labels(folder, found, ball_radius_mm, scale)
-    if not file.exists():
-        write_scale(folder, frames[0].image.shape[:2], scale)
-    return LabelledFolder(folder, file, found, depths_mm)
+    if not stated:
+        write_sensor_file(file, *((camera, photo_map) if seen is None else (seen.camera, seen.photo_map)))
+    return LabelledFolder(folder, file, found, depths_mm, view=seen)
+
+
+def _rectify_frames(frames: list[PressImage], photo_map: PhotoMap | None) -> list[PressImage]:
+    if photo_map is None:
+        return frames
+    return [PressImage(frame.name, photo_map.rectify(frame.image)) for frame in frames]
 
 
 def _count_unlisted(folder: Path, ball_radius_mm: float) -> int:
@@ -119,7 +153,7 @@ def _count_unlisted(folder: Path, ball_radius_mm: float) -> int:
 
 def _read_scale(file: Path, mm_per_px: float | None) -> float:
     """Return the pixel size from the sensor's file, in mm. Raises ConfigError if `mm_per_px` differs."""
-    scale = 1e3 * read_sensor_file(file).pixel_pitch_m
+    scale = 1e3 * read_camera(file)[0].pixel_pitch_m
     if mm_per_px is not None and not math.isclose(scale, mm_per_px, rel_tol=SAME_SCALE):
         raise ConfigError(
             f"`mm_per_px` is {mm_per_px:g}, but {file} has {scale:.6g}; correct one, or remove the file to write it "

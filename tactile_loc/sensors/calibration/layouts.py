@@ -16,9 +16,11 @@ import numpy as np
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.io.csv_tables import Row, read_number, read_table
 from tactile_loc.io.images import IMAGE_SUFFIXES, read_photo, write_image
+from tactile_loc.io.sensor_files import write_sensor_file
 from tactile_loc.sensors.calibration.labels import Image
-from tactile_loc.sensors.calibration.press_table import TABLE, write_scale, write_table
+from tactile_loc.sensors.calibration.press_table import SENSOR, TABLE, write_table
 from tactile_loc.sensors.calibration.untouched import is_named_untouched
+from tactile_loc.sensors.reading.rectification import StatedView
 from tactile_loc.store.arrays import load_npz, measure_npz
 from tactile_loc.store.files import list_files, order_as_counted, read_json, read_text
 
@@ -80,19 +82,26 @@ def recognise_set(source: Path) -> PressSet:
 
 
 def convert_presses(
-    source: Path, out: Path, ball_radius_mm: float | None = None, mm_per_px: float | None = None
+    source: Path,
+    out: Path,
+    ball_radius_mm: float | None = None,
+    mm_per_px: float | None = None,
+    view: StatedView | None = None,
 ) -> Path:
     """Convert presses with labels by another tool to a folder of presses `out`, and return the path of the table.
 
-    The folder gets a sensor file of square pixels, `mm_per_px` mm wide. The default ball and scale are those that the
-    set states. Circles larger than the ball are reduced: see `write_table`. Raises CalibrationError when the source
-    holds no labels, or when the ball or the scale is unknown.
+    The folder gets a sensor file of square pixels, `mm_per_px` mm wide, and circles in these pixels. `view` states how
+    the camera sees the gel, if it does not see it straight. The default ball and scale are those that the set states.
+    Circles larger than the ball are reduced: see `write_table`. Raises CalibrationError when the source holds no
+    labels, or when the ball or the scale is unknown.
     """
     found = recognise_set(source)
     if not found.circles:
         raise CalibrationError(f"{source} holds no circles of presses ({found.tool}); find them with `label_presses`")
-    ball_mm, scale_mm = ball_radius_mm or found.ball_radius_mm, mm_per_px or found.mm_per_px
-    if not (ball_mm and ball_mm > 0 and scale_mm and scale_mm > 0):
+    view = view or StatedView()
+    ball_mm = ball_radius_mm or found.ball_radius_mm
+    scale_mm = mm_per_px or (found.mm_per_px if view.gel_mm is None else None)
+    if not (ball_mm and ball_mm > 0 and (view.gel_mm is not None or (scale_mm and scale_mm > 0))):
         raise CalibrationError(
             f"{source} does not state its ball and scale; give `ball_radius` and `mm_per_px`, positive numbers in mm"
         )
@@ -106,8 +115,11 @@ def convert_presses(
         else:
             write_image(out / file, photo)
         rows.append((file, None if circle is None else (circle[0] + HALF, circle[1] + HALF, circle[2])))
-    write_scale(out, read_photo(out / rows[0][0]).shape[:2], scale_mm)
-    return write_table(out / TABLE, rows, ball_mm, scale_mm)
+    camera, photo_map = view.make_camera(read_photo(out / rows[0][0]).shape[:2], scale_mm)
+    write_sensor_file(out / SENSOR, camera, photo_map)
+    if photo_map is not None:
+        rows = [(file, circle and photo_map.move_circle(circle)) for file, circle in rows]
+    return write_table(out / TABLE, rows, ball_mm, 1e3 * camera.pixel_pitch_m)
 
 
 def find_gs_sdk(source: Path) -> PressSet | None:

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from tactile_loc.core.runtime.errors import CalibrationError, MissingLibraryError, SensorError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.io.sensor_files import read_sensor_file
+from tactile_loc.io.sensor_files import read_camera
 from tactile_loc.sensors.calibration.folder import CHECKED, WEIGHTS, write_calibration
 from tactile_loc.sensors.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator, make_estimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
+from tactile_loc.sensors.reading.passport import ASPECT, Examination, measure_usual
 from tactile_loc.sensors.reading.passport import FEWEST as FEWEST_CHECKED
-from tactile_loc.sensors.reading.passport import Examination, measure_usual
 from tactile_loc.sensors.reading.reading import find_worst, measure_health, read_gel
 from tactile_loc.slots.encoder import Checkpoints
 from tactile_loc.store.keys import StageKey
@@ -206,8 +206,9 @@ def calibrate_folder(
     if isinstance(sensor, Path) and not os.path.isfile(sensor):
         raise SensorError(f"there is no sensor file {sensor}; write it (docs/files.md), or give `sensor`")
     recipe, reading, watcher = recipe or EstimatorRecipe(), reading or FolderReading(), progress or Progress()
-    camera = sensor if isinstance(sensor, SensorGeometry) else read_sensor_file(sensor)
-    presses = read_presses(folder, camera, reading.median_background, reading.size_px or choose_size_px(camera))
+    camera, photo_map = (sensor, None) if isinstance(sensor, SensorGeometry) else read_camera(sensor)
+    size_px = reading.size_px or choose_size_px(camera)
+    presses = read_presses(folder, camera, reading.median_background, size_px, photo_map).measure_stretch()
     if reading.curved:
         try:
             from tactile_loc.sensors.reading.relief import learn_relief
@@ -229,4 +230,7 @@ def _check_presses(presses: PressFolder, estimator: GelEstimator) -> dict[str, f
     some = np.array([presses.images[n] for n in balls[:: -(-len(balls) // MOST_CHECKED) or 1]])
     if len(some) < FEWEST_CHECKED or estimator.read(some[0])[1] is None:
         return {}
-    return measure_usual(Examination(estimator, UntouchedGel.of(presses.background), some))
+    # The aspect of a ball's imprint in stretched photos is no usual one, so that the checks report it.
+    stretch = presses.stretch
+    aspect = {ASPECT: math.log(stretch.ratio)} if stretch is not None and stretch.is_clear else {}
+    return measure_usual(Examination(estimator, UntouchedGel.of(presses.background), some, aspect))

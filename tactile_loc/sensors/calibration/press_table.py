@@ -9,17 +9,16 @@ import numpy as np
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.io.csv_tables import read_table, require_columns
-from tactile_loc.io.toml import format_toml
 from tactile_loc.sensors.calibration.labels import STEEPEST
 from tactile_loc.store.files import write_atomically
 
 TABLE, SENSOR = "presses.csv", "sensor.toml"
+UNTOUCHED = "untouched-gel.png"  # the composed or corrected image of the untouched gel; it is rectified
 KINDS = {
     "background": (),
     "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
     "mesh": ("mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm"),
 }
-DEEPEST_MM = 1.5  # assumed maximal depth of a sensor of which only the scale is known
 Circles = Iterable[tuple[str, tuple[float, float, float] | None]]  # an image's name and circle (x, y, radius), px
 
 
@@ -113,14 +112,3 @@ def write_table(table: Path, circles: Circles, ball_radius_mm: float, mm_per_px:
             csv.writer(file, lineterminator="\n").writerows(lines)
 
     return write_atomically(table, write)
-
-
-def write_scale(folder: Path, shape: tuple[int, int], mm_per_px: float) -> Path:
-    """Write `sensor.toml` for images of a shape (rows, columns) and a scale, with the maximal depth DEEPEST_MM.
-
-    Return the path of `sensor.toml`.
-    """
-    scale = {"mm_per_px": float(mm_per_px), "max_depth_mm": DEEPEST_MM}
-    path = folder / SENSOR
-    path.write_text(format_toml({"camera": "orthographic", "image_size_px": shape[::-1], **scale}), encoding="utf-8")
-    return path

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from tactile_loc.core.geometry.rigid import make_transform
 from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError
 from tactile_loc.core.runtime.progress import Progress
+from tactile_loc.core.sensing.photo_map import PhotoMap
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_photo
@@ -20,9 +21,10 @@ from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.sensors.calibration.circles import Circle
 from tactile_loc.sensors.calibration.gel_fit import BallImage, GelFit, fit_gel, label_elastic_ball, press_balls
 from tactile_loc.sensors.calibration.labels import Image, LabelledPresses, PressLabel, label_ball, label_mesh
-from tactile_loc.sensors.calibration.press_table import KINDS, TABLE, PressRow, read_rows
+from tactile_loc.sensors.calibration.press_table import KINDS, TABLE, UNTOUCHED, PressRow, read_rows
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import reduce_image
+from tactile_loc.sensors.reading.rectification import Stretch, measure_stretch
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_arrays, hash_file
 
@@ -35,9 +37,10 @@ FOR_MEDIAN = 9  # fewest presses, at different places, whose median shows the un
 class PressFolder(LabelledPresses):
     """The presses of a table, with their images in memory.
 
-    `images` have the size of `geometry`. `camera` is the geometry of the images as they were taken. The circles in the
-    table are in pixels of `camera`. Marker dots are filled in, in the images and in the background; `gel` has the
-    background with its dots. `fit` is the gel's elasticity, if it is known; the balls' labels follow from it.
+    `images` have the size of `geometry`. `camera` is the geometry of the images before they were reduced. The circles
+    in the table are in pixels of `camera`. If there is a `photo_map`, photos were rectified by it. `stretch` is
+    what their imprints show, if it was measured. Marker dots are filled in, in the images and in the background; `gel`
+    has the background with its dots. `fit` is the gel's elasticity, if it is known; the balls' labels follow from it.
     """
 
     rows: tuple[PressRow, ...]
@@ -47,6 +50,8 @@ class PressFolder(LabelledPresses):
     camera: SensorGeometry
     gel: UntouchedGel | None = None
     fit: GelFit | None = None
+    photo_map: PhotoMap | None = None
+    stretch: Stretch | None = None
     _scenes: dict[tuple[Path, str], Scene] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -90,6 +95,11 @@ class PressFolder(LabelledPresses):
             return replace(self, fit=fit)
         return replace(self, fit=fit, geometry=replace(self.geometry, gel=fit.gel))
 
+    def measure_stretch(self) -> PressFolder:
+        """Return the presses with the stretch of their photos, if there are enough presses of balls."""
+        balls = [self.read_ball(number) for number in self.list_balls()]
+        return replace(self, stretch=measure_stretch([(ball.image, ball.circle) for ball in balls], self.background))
+
     @property
     def untouched(self) -> Image:
         """The image (H, W, 3) of the untouched gel, with its marker dots."""
@@ -110,6 +120,8 @@ class PressFolder(LabelledPresses):
     def list_facts(self) -> list[str]:
         """Return sentences about the gel: its surface if it is curved, its elasticity if it was fitted, its dots."""
         facts, relief_m = [], self.geometry.relief_m
+        if self.stretch is not None and self.stretch.is_clear:
+            facts.append(f"the scales of x and y differ: {self.stretch.describe()}; {self.stretch.advise(self.camera)}")
         if relief_m is not None:
             facts.append(f"the gel is curved: its edge is up to {-1e3 * relief_m.min():.2f} mm lower than its top")
         if self.fit is not None:
@@ -130,7 +142,8 @@ class PressFolder(LabelledPresses):
         """
         dots = {} if self.gel is None else {"dots": self.gel.record(self.geometry.pixel_pitch_m)}
         gel = {} if self.fit is None else {"gel": self.fit.record()}
-        return {"camera_px": list(self.camera.shape), **dots, **gel}
+        photo = {} if self.photo_map is None else {"photo": self.photo_map.record()}
+        return {"camera_px": list(self.camera.shape), **photo, **dots, **gel}
 
     def _label_ball(self, ball: BallImage) -> PressLabel:
         circle, centre_px = ball.circle, (ball.circle.x_px, ball.circle.y_px)
@@ -158,19 +171,24 @@ class PressFolder(LabelledPresses):
 
 
 def read_presses(
-    folder: Path, camera: SensorGeometry, median_background: bool = False, size_px: tuple[int, int] | None = None
+    folder: Path,
+    camera: SensorGeometry,
+    median_background: bool = False,
+    size_px: tuple[int, int] | None = None,
+    photo_map: PhotoMap | None = None,
 ) -> PressFolder:
     """Read a folder of presses with the table `presses.csv`, taken by a sensor with the geometry `camera`.
 
-    With `size_px` (width, height), images and sensor are reduced to that size. The background is the mean of the
-    table's background images. With `median_background`, the background is the pixelwise median of all presses, of which
-    at least FOR_MEDIAN are needed. Marker dots are filled in. Raises CalibrationError, which names the faulty row, when
+    If there is a `photo_map`, photos are rectified by it, and the table and `camera` are in pixels of the result. With
+    `size_px` (width, height), images and sensor are reduced to that size. The background is the mean of the table's
+    background images. With `median_background`, the background is the pixelwise median of all presses, of which at
+    least FOR_MEDIAN are needed. Marker dots are filled in. Raises CalibrationError, which names the faulty row, when
     the folder cannot be used.
     """
     table = folder / TABLE
     geometry = camera if size_px is None else _shrink_sensor(camera, size_px)
     rows = read_rows(table)
-    images = {row: reduce_image(_read_image(row, camera), geometry.shape) for row in rows}
+    images = {row: reduce_image(_read_image(row, camera, photo_map), geometry.shape) for row in rows}
     unpressed = [image for row, image in images.items() if row.kind == "background"]
     pressed = tuple(row for row in rows if row.kind != "background")
     if not pressed:
@@ -189,7 +207,7 @@ def read_presses(
     background = np.median(stack, axis=0) if median_background else stack.mean(axis=0)
     gel = UntouchedGel.of(np.rint(background).astype(np.uint8))
     clear = tuple(gel.clear_image(images[row]) for row in pressed)
-    presses = PressFolder(pressed, clear, gel.clear, geometry, camera, gel)
+    presses = PressFolder(pressed, clear, gel.clear, geometry, camera, gel, photo_map=photo_map)
     for number in range(len(presses)):
         presses.label(number)  # reports faulty rows before the training
     return presses
@@ -220,9 +238,11 @@ def _shrink_sensor(camera: SensorGeometry, size_px: tuple[int, int]) -> SensorGe
     return camera.resize(width, height)
 
 
-def _read_image(row: PressRow, geometry: SensorGeometry) -> Image:
+def _read_image(row: PressRow, geometry: SensorGeometry, photo_map: PhotoMap | None) -> Image:
     try:
         image = read_photo(row.image)
+        if photo_map is not None and row.image.name != UNTOUCHED:
+            image = photo_map.rectify(image)
     except TactileLocError as error:
         raise CalibrationError(f"{row.where}: {error}") from error
     if image.shape[:2] != geometry.shape:

@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+from photo_helpers import MAPS, photograph
+from PIL import Image
 from press_sets import BALL_M, MM, ball_set, write_image
 
 from tactile_loc.core.runtime.errors import CalibrationError, ConfigError
-from tactile_loc.io.sensor_files import read_sensor_file
+from tactile_loc.io.sensor_files import read_camera, read_sensor_file
 from tactile_loc.sensors.calibration.labelling import label_presses
 from tactile_loc.sensors.calibration.press_table import SENSOR, TABLE, read_rows
 from tactile_loc.sensors.calibration.presses import read_presses
+from tactile_loc.sensors.reading.rectification import StatedView
 
 BALLS = ball_set(7, px=80)
 RADIUS_MM, MM_PER_PX = BALL_M / MM, 0.2
@@ -67,3 +70,47 @@ def test_lengths_are_needed(photos, radius_mm, mm_per_px, error):
     with pytest.raises(error):
         label_presses(photos, None, radius_mm, mm_per_px)
     assert not (photos / TABLE).exists()
+
+
+def test_stretched_photos_are_evened_and_named_first(photos):
+    for path in photos.glob("*.png"):
+        write_image(path, photograph(np.asarray(Image.open(path)), MAPS["stretched"]))
+    labelled = label_presses(photos, None, RADIUS_MM, MM_PER_PX)
+    assert labelled.view is not None
+    assert labelled.describe()[0] == labelled.view.says
+    assert labelled.view.aspect == pytest.approx(1.2, rel=0.02)
+    assert labelled.found is not None
+    camera, photo_map = read_camera(labelled.sensor)
+    assert photo_map is not None
+    assert camera.shape == labelled.found.untouched.shape[:2]
+    shares = np.array([camera.width_px, camera.height_px]) / 80
+    centres = [(press.circle.x_px, press.circle.y_px) for press in labelled.found.used]
+    np.testing.assert_allclose(centres, shares * BALLS.circles[:, :2], atol=1)
+    presses = read_presses(photos, camera, photo_map=photo_map).measure_stretch()
+    assert len(presses) == 7
+    assert presses.stretch is not None
+    assert not presses.stretch.is_clear
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_stated_views_give_the_circles_of_straight_photos(photos, name):
+    for path in photos.glob("*.png"):
+        write_image(path, photograph(np.asarray(Image.open(path)), MAPS[name]))
+    view = {
+        "stretched": StatedView(aspect=1 / 1.2),
+        "tilted": StatedView(corners_px=MAPS["tilted"].corners_px, gel_mm=(16.0, 16.0)),
+        "barrel": StatedView(lens=MAPS["barrel"].lens),
+    }[name]
+    scale = {"stretched": MM_PER_PX / 1.2**0.5, "tilted": None, "barrel": MM_PER_PX}[name]
+    labelled = label_presses(photos, None, RADIUS_MM, scale, view=view)
+    assert labelled.view is None
+    assert labelled.found is not None
+    camera, photo_map = read_camera(labelled.sensor)
+    assert photo_map is not None
+    found = np.array([(press.circle.x_px, press.circle.y_px) for press in labelled.found.used])
+    found_m = (found - [camera.cx, camera.cy]) * camera.pixel_pitch_m
+    true_m = (BALLS.circles[:, :2] - 40) * 0.2 * MM
+    np.testing.assert_allclose(found_m, true_m, atol=2e-4)
+    (photos / TABLE).unlink()
+    with pytest.raises(ConfigError):  # the file states the view now
+        label_presses(photos, None, RADIUS_MM, None, view=view)

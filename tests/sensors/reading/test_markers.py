@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from photo_helpers import draw, lattice
 from PIL import Image
 from press_sets import MM, TINY, ball_indentation, ball_set, photographed, sensor, write_image
 from scipy.ndimage import gaussian_filter
@@ -24,29 +25,6 @@ PX = 160
 GEOMETRY = sensor(PX)
 PITCH_M = GEOMETRY.pixel_pitch_m
 GEL = render_background(GEOMETRY, OPTICS["gelslim"])
-
-
-def lattice(
-    spacing_px: float, shape: tuple[int, int] = (PX, PX), turn: float = 0.1, hexagonal: bool = False
-) -> np.ndarray:
-    """The places (N, 2) of dots whose middle is in the image, pixels."""
-    n = np.arange(-2 * shape[0] // spacing_px, 2 * shape[0] // spacing_px)
-    a, b = (v.ravel() for v in np.meshgrid(n, n))
-    if hexagonal:
-        a, b = a + 0.5 * (b % 2), b * np.sqrt(0.75)
-    x = spacing_px * (np.cos(turn) * a - np.sin(turn) * b) + 3.3
-    y = spacing_px * (np.sin(turn) * a + np.cos(turn) * b) + 7.7
-    inside = (x > 0) & (x < shape[1]) & (y > 0) & (y < shape[0])
-    return np.stack([x, y], axis=1)[inside]
-
-
-def draw(image: np.ndarray, places: np.ndarray, diameter_px: float, opacity: float = 0.8) -> np.ndarray:
-    """The image (H, W, 3) with soft dark dots at places (N, 2), pixels."""
-    y, x = np.mgrid[: image.shape[0], : image.shape[1]] + 0.5
-    light = np.ones(image.shape[:2])
-    for px, py in places:
-        light *= 1 - opacity * 0.5 * (1 - np.tanh((np.hypot(x - px, y - py) - diameter_px / 2) / 0.6))
-    return np.rint(image * light[..., None]).astype(np.uint8)
 
 
 def move(places: np.ndarray, indentation_m: np.ndarray, shift_px: float) -> np.ndarray:

@@ -3,7 +3,7 @@
 Photos are rectified to the same scale everywhere before anything else is done with them: see `PhotoMap`.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +12,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
-from tactile_loc.core.runtime.errors import CalibrationError, ConfigError
+from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.photo_map import (
-    UNIT,
     Corner,
     Lens,
     PhotoMap,
@@ -26,19 +25,22 @@ from tactile_loc.core.sensing.photo_map import (
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.circles import Circle, compare_colours
 from tactile_loc.sensors.calibration.labels import Image
-from tactile_loc.sensors.reading.markers import Dots
+from tactile_loc.sensors.reading.markers import Dots, UntouchedGel
 
 Array = NDArray[np.float64]
 
 STANDOFF_M, DEEPEST_M = 10e-3, 1.5e-3  # assumed for a sensor of which only the view is known
+LEAST_MIDDLE = 0.2  # least distance of the optical axis from the border of the photo, share of its side
 STRETCHED = 1.1  # ratio of scales above which photos count as stretched
 LARGEST = 0.5  # largest logarithm of the ratio that is looked for
 SAMPLED = 20  # approximate number of presses from which the ratio is estimated
 FEWEST = 3  # presses
-AWAY = np.arange(0.1, 1.9, 0.05)  # distances from a ball's centre at which colours are compared, in radii
+SAME_RATIO = 0.01  # largest logarithm of a ratio that is not corrected again
+BANDS = np.arange(0.3, 1.3, 0.05), np.arange(0.7, 1.35, 0.05)  # compared distances from a ball's centre, in radii
 TURNS = (np.arange(60) + 0.5) * np.pi / 60  # compared directions, radians
 SMOOTHING_PX = 1.0  # of the colours, against the camera's noise
 NEAR = 0.3  # largest distance of a dot from its expected place, in spacings
+MANY = 50  # fewest dots for a second factor of the lens
 SQUARE_PX, OFF = 2.0, 0.12  # errors of a dot that count less, pixels, and largest median error, in spacings
 
 
@@ -69,7 +71,8 @@ class StatedView:
             if mm_per_px is not None:
                 raise ConfigError("`corners` and `gel_size` give the size of a pixel; leave out `mm_per_px`")
             corners = np.array(self.corners_px)
-            area_px = 0.5 * abs(np.cross(corners[2] - corners[0], corners[3] - corners[1]))
+            (a, b), (c, d) = corners[2] - corners[0], corners[3] - corners[1]
+            area_px = 0.5 * abs(a * d - b * c)
             pitch_mm = float(np.sqrt(np.prod(self.gel_mm) / area_px))
             width, height = (max(1, round(side / pitch_mm)) for side in self.gel_mm)
             photo_map = PhotoMap(size_px, (width, height), to_corners(corners), self.lens)
@@ -79,6 +82,7 @@ class StatedView:
             raise ConfigError("the size of a pixel is unknown; give `mm_per_px`, or `corners` and `gel_size`")
         scale = 1e3 / mm_per_px
         if self.lens is not None:
+            self._require_middle(size_px, self.lens)
             even = np.sqrt(self.lens.fx * self.lens.fy)
             straight = np.diag([self.lens.fx / even, self.lens.fy / even, 1.0])
             photo_map = frame_view(size_px, straight, self.lens)
@@ -86,6 +90,16 @@ class StatedView:
         if self.aspect == 1:
             return make_camera(shape, scale, scale), None
         return even_scales(make_camera(shape, scale / self.aspect**0.5, scale * self.aspect**0.5))
+
+    def _require_middle(self, photo_px: tuple[int, int], lens: Lens) -> None:
+        """Raise ConfigError unless a camera matrix can be that of photos of a size (width, height)."""
+        if not all(
+            LEAST_MIDDLE < c / size < 1 - LEAST_MIDDLE for c, size in zip((lens.cx, lens.cy), photo_px, strict=True)
+        ):
+            raise ConfigError(
+                f"the middle of the camera matrix is ({lens.cx:g}, {lens.cy:g}) px, but the photos are {photo_px[0]} x "
+                f"{photo_px[1]} px; give the matrix for photos of this size"
+            )
 
 
 def make_camera(shape: tuple[int, int], fx: float, fy: float) -> SensorGeometry:
@@ -96,50 +110,56 @@ def make_camera(shape: tuple[int, int], fx: float, fy: float) -> SensorGeometry:
 
 @dataclass(frozen=True)
 class Stretch:
-    """The ratio of an imprint's width to its height that a round ball shows, and its standard deviation.
-
-    `of` names what it was measured from.
-    """
+    """The ratio of the width to the height of balls' imprints, and its standard deviation."""
 
     ratio: float
     std: float
-    of: str = "a ball's imprint"
 
     @property
     def is_clear(self) -> bool:
         """Whether the photos are stretched beyond doubt."""
-        return abs(np.log(self.ratio)) > np.log(STRETCHED) + 2 * self.std / self.ratio
+        return abs(np.log(self.ratio)) > np.log(STRETCHED) + self.std / self.ratio
+
+    def advise(self, camera: SensorGeometry) -> str:
+        """Return the scales of x and y that even photos whose mean scale is that of `camera`."""
+        pitch_mm = 1e3 * camera.pixel_pitch_m
+        return f"`mm_per_px` {pitch_mm / self.ratio**0.5:.4g},{pitch_mm * self.ratio**0.5:.4g} evens them"
 
     def describe(self) -> str:
         """Return the ratio in words."""
         share, longer = max(self.ratio, 1 / self.ratio), "wider than high" if self.ratio > 1 else "higher than wide"
-        return f"{self.of} is {100 * (share - 1):.0f} % {longer} (ratio {self.ratio:.3f} ± {self.std:.3f})"
+        return f"a ball's imprint is {100 * (share - 1):.0f} % {longer} (ratio {self.ratio:.3f} ± {self.std:.3f})"
 
 
 def measure_stretch(presses: Sequence[tuple[Image, Circle]], untouched: Image) -> Stretch | None:
     """Measure how stretched photos are from the imprints of balls in images (H, W, 3) without dots.
 
     Under any light, the odd colour change along a line through a ball's centre has the same profile in all directions,
-    except for its strength. In a stretched photo, the profiles differ in length. Return None for fewer than FEWEST
-    imprints in the image.
+    except for its strength. In a stretched photo, the profiles differ in length. The profiles in the BANDS differ by
+    the errors of this assumption. Return None for fewer than FEWEST imprints in the image.
     """
     some = presses[:: max(1, len(presses) // SAMPLED)]
-    found = [_find_stretch(image, circle, untouched) for image, circle in some]
-    known = np.array([one for one in found if np.isfinite(one)])
+    found = np.array([_find_stretches(image, circle, untouched) for image, circle in some]).reshape(-1, len(BANDS))
+    known = found[np.isfinite(found).all(axis=1)]
     if len(known) < FEWEST:
         return None
-    middle = float(np.median(known))
-    spread = 1.48 * float(np.median(np.abs(known - middle)))
-    return Stretch(float(np.exp(middle)), float(np.exp(middle) * 1.25 * spread / np.sqrt(len(known))))
+    middles = np.median(known, axis=0)
+    spread = 1.48 * float(np.median(np.abs(known - middles)))
+    ratio = float(np.exp(middles.mean()))
+    return Stretch(ratio, ratio * float(np.hypot(1.25 * spread / np.sqrt(len(known)), middles.std())))
 
 
-def _find_stretch(image: Image, circle: Circle, untouched: Image) -> float:
-    """Return the logarithm of an imprint's stretch along x, or NaN if the imprint is not in the image."""
+def _find_stretches(image: Image, circle: Circle, untouched: Image) -> list[float]:
+    """Return the logarithm of an imprint's stretch along x in each of BANDS, or NaN beyond the image."""
     change = gaussian_filter(compare_colours(image, untouched), (SMOOTHING_PX, SMOOTHING_PX, 0))
+    return [_find_stretch(change, circle, band) for band in BANDS]
+
+
+def _find_stretch(change: NDArray[np.float32], circle: Circle, band: Array) -> float:
     best, step = 0.0, LARGEST / 4
     tried = np.arange(-4, 5) * step
     for _ in range(3):
-        likeness = np.array([_compare_profiles(change, circle, best + one) for one in tried])
+        likeness = np.array([_compare_profiles(change, circle, band, best + one) for one in tried])
         if not np.isfinite(likeness).all():
             return float("nan")
         k = int(np.clip(likeness.argmax(), 1, len(tried) - 2))
@@ -151,18 +171,18 @@ def _find_stretch(image: Image, circle: Circle, untouched: Image) -> float:
     return best
 
 
-def _compare_profiles(change: NDArray[np.float32], circle: Circle, log_ratio: float) -> float:
-    """Return how alike the odd profiles (0 to 1) are in all directions if the imprint is stretched by a ratio."""
+def _compare_profiles(change: NDArray[np.float32], circle: Circle, band: Array, log_ratio: float) -> float:
+    """Return how alike (0 to 1) the odd profiles in a band are in all directions if the imprint is stretched."""
     cos, sin = np.cos(TURNS), np.sin(TURNS)
     reach = circle.radius_px / np.hypot(cos * np.exp(-log_ratio / 2), sin * np.exp(log_ratio / 2))
-    x, y = AWAY[:, None] * reach * cos, AWAY[:, None] * reach * sin
+    x, y = band[:, None] * reach * cos, band[:, None] * reach * sin
     middle = np.array([circle.x_px - 0.5, circle.y_px - 0.5])
     odd = [
         map_coordinates(plane, [middle[1] + y, middle[0] + x], order=1, cval=np.nan)
         - map_coordinates(plane, [middle[1] - y, middle[0] - x], order=1, cval=np.nan)
         for plane in np.moveaxis(change, 2, 0)
     ]
-    profiles = np.concatenate(odd, axis=1) * np.sqrt(AWAY)[:, None]
+    profiles = np.concatenate(odd, axis=1) * np.sqrt(band)[:, None]
     known = np.isfinite(profiles).all(axis=0)
     if known.mean() < 0.5:
         return float("nan")
@@ -184,8 +204,8 @@ class Lattice:
 
     def frame(self, photo_px: tuple[int, int]) -> PhotoMap:
         """Return the map for photos of `photo_px` (width, height). In their middle, it keeps scale and rotation."""
-        middle = apply_homography(np.linalg.inv(self.homography), np.array(photo_px, float)[None] / 2)
-        across = (apply_homography(self.homography, middle + [[h, 0], [0, h]]) for h in (-0.01, 0.01))
+        middle = apply_homography(np.linalg.inv(self.homography), np.array([photo_px]) / 2)
+        across = (apply_homography(self.homography, middle + np.array([[h, 0], [0, h]])) for h in (-0.01, 0.01))
         low, high = across
         jacobian = ((high - low) / 0.02).T
         u, _, v = np.linalg.svd(jacobian)
@@ -211,23 +231,24 @@ def fit_lattice(dots: Dots, photo_px: tuple[int, int]) -> Lattice | None:
 
     def miss(values: Array) -> Array:
         ideal = apply_homography(np.append(values[:8], 1.0).reshape(3, 3), numbers)
-        radial = 1 + values[8] * (ideal**2).sum(axis=1, keepdims=True)
-        return np.asarray((ideal * radial - places).ravel())
+        seen = Lens(1.0, 1.0, 0.0, 0.0, tuple(values[8:])).distort(ideal)
+        return np.asarray((seen - places).ravel())
 
-    fit = least_squares(miss, np.append(first, [0.0, 0.0, 0.0]), loss="soft_l1", f_scale=SQUARE_PX / length)
+    more = [0.0] * (4 if len(numbers) > MANY else 3)  # perspective in x and y, k1, k2
+    fit = least_squares(miss, np.append(first, more), loss="soft_l1", f_scale=SQUARE_PX / length)
     spacing_px = dots.spacing_px * photo_px[0] / dots.shape[1]
     off = float(np.median(np.hypot(*fit.fun.reshape(-1, 2).T))) * length / spacing_px
     if off > OFF:
         return None
     to_px = np.array([[length, 0, middle[0]], [0, length, middle[1]], [0, 0, 1]])
-    lens = Lens(length, length, *map(float, middle), (float(fit.x[8]),))
+    lens = Lens(length, length, float(middle[0]), float(middle[1]), tuple(fit.x[8:].tolist()))
     return Lattice(to_px @ np.append(fit.x[:8], 1.0).reshape(3, 3), lens, off)
 
 
 def _number_dots(centres: Array) -> tuple[Array, NDArray[np.intp]]:
     """Return the numbers (M, 2) along both sides of the lattice of some of the centres (N, 2), and their indices (M,).
 
-    The numbers are counted from dot to dot, from the middle outwards. x is the side that is nearer to that of the photo.
+    The numbers are counted from dot to dot, from the middle outwards. x is the side nearer to that of the photo.
     """
     tree = KDTree(centres)
     start = int(tree.query(np.median(centres, axis=0))[1])
@@ -248,3 +269,69 @@ def _number_dots(centres: Array) -> tuple[Array, NDArray[np.intp]]:
                 waiting.append(other)
     chosen = np.array(list(numbers), np.intp)
     return np.array([numbers[one] for one in numbers], float), chosen
+
+
+@dataclass(frozen=True, eq=False)
+class SeenView:
+    """How a camera sees the gel by its photos: the sensor, the map of its photos, and a sentence about both."""
+
+    camera: SensorGeometry
+    photo_map: PhotoMap
+    says: str
+    aspect: float | None = None
+
+
+def see_view(
+    gel: UntouchedGel, presses: Sequence[tuple[Image, Circle]], straight: SensorGeometry, before: SeenView | None = None
+) -> SeenView | None:
+    """Return how a camera sees the gel in photos of presses, or None if it sees it straight, or as in `before`.
+
+    `presses` are images (H, W, 3) with balls and their circles. They were rectified as in `before`. `straight` is the
+    sensor for photos that are not rectified. Marker dots show the whole view, if they are a square lattice in which
+    balls are round. Otherwise, balls show the ratio of the scales of x and y.
+    """
+    some = presses[:: max(1, len(presses) // SAMPLED)]
+    stretch = measure_stretch([(gel.clear_image(image), circle) for image, circle in some], gel.clear)
+    photo_px = straight.width_px, straight.height_px
+    if before is not None:
+        if before.aspect is None or stretch is None or abs(np.log(stretch.ratio)) < 2 * stretch.std + SAME_RATIO:
+            return None
+        ratio = stretch.ratio * before.aspect
+        return _even_view(replace(stretch, ratio=ratio, std=stretch.std * before.aspect), straight)
+    lattice = None if gel.dots is None else fit_lattice(gel.dots, photo_px)
+    if lattice is not None:
+        photo_map = lattice.frame(photo_px)
+        ratio, range_ = measure_scales(photo_map)
+        round_ = stretch is None or abs(np.log(ratio / stretch.ratio)) < np.log(STRETCHED)
+        if round_ and max(ratio, 1 / ratio, range_) > STRETCHED:
+            camera = make_camera(photo_map.image_px[::-1], *straight.scale_at_surface)
+            says = (
+                f"the lattice of {len(gel.dots or ())} marker dots shows that the scale differs by "
+                f"{100 * (range_ - 1):.0f} % over the photo, and by {100 * abs(ratio - 1):.0f} % between x and y in "
+                "its middle: photos are rectified"
+            )
+            return SeenView(photo_map.hide_unseen(camera), photo_map, says)
+    return _even_view(stretch, straight) if stretch is not None and stretch.is_clear else None
+
+
+def _even_view(stretch: Stretch, straight: SensorGeometry) -> SeenView:
+    sx, sy = straight.scale_at_surface
+    uneven = replace(straight, fx=sx * stretch.ratio**0.5, fy=sy / stretch.ratio**0.5)
+    camera, photo_map = even_scales(uneven)
+    says = f"the photos are stretched: {stretch.describe()}. They are evened; {stretch.advise(straight)}, too"
+    return SeenView(camera, photo_map, says, stretch.ratio)
+
+
+def measure_scales(photo_map: PhotoMap) -> tuple[float, float]:
+    """Return the ratio of a photo's scales of x and y in its middle, and of its largest and smallest scale.
+
+    The scale at a place is the square root of the area in the photo of a unit area of the image.
+    """
+    width, height = photo_map.image_px
+    x, y = (part.ravel() for part in np.meshgrid(np.linspace(0.05, 0.95, 9), np.linspace(0.05, 0.95, 9)))
+    places = np.stack([x * width, y * height], axis=1)
+    right, down = (photo_map.locate(places + step) - photo_map.locate(places - step) for step in ([0.5, 0], [0, 0.5]))
+    scales = np.sqrt(np.abs(right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0]))
+    middle = len(places) // 2
+    ratio = float(np.linalg.norm(right[middle]) / np.linalg.norm(down[middle]))
+    return ratio, float(scales.max() / scales.min())
