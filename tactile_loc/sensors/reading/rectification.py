@@ -46,7 +46,7 @@ SQUARE_PX, OFF = 2.0, 0.12  # errors of a dot that count less, pixels, and large
 
 @dataclass(frozen=True)
 class StatedView:
-    """What is known about a camera's view of the gel, besides the size of a pixel.
+    """A camera's view of the gel as a user states it, besides the size of a pixel.
 
     `aspect` is the width of a photo's pixel on the gel divided by its height. `corners_px` (x, y) are the corners, in
     the photo, of a rectangle on the gel of the size `gel_mm` (width, height), clockwise from the upper left. `lens` is
