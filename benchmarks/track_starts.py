@@ -2,8 +2,9 @@
 """Tracks from an unknown start: how often they end right, and whether their verdicts are right.
 
 Each slide is drawn by ray casting, as in sequences.py: clean, with mild noise, or on an elastic gel whose surface
-ContactMechanics computes. The tracker is not told where the object is. Elastic slides have 25 frames a second, all
-others 100. A pose is right if its pose error is at most 1 mm.
+ContactMechanics computes. Slides with even numbers are of one finger, all others of two fingers at different places.
+The tracker is not told where the object is. Elastic slides have 25 frames a second, all others 100. A pose is right if
+its pose error is at most 1 mm.
 
 The key touches of a frame are all touches so far, thinned to at most KEYS sensor poses at least APART_MM apart. They
 are also located together, without the tracker. They determine the pose if no listed wrong pose explains them as
@@ -49,12 +50,13 @@ from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.store.store import StageStore
-from tactile_loc.tracking.key_touches import choose_key_touches
+from tactile_loc.tracking.key_touches import measure_motion_m
 from tactile_loc.tracking.tracker import Tracker
 
 MM = 1e3
 RIGHT_MM = 1.0
 KEYS, APART_MM, LEVER_M = 5, 2.0, 0.01
+WIDER = 1.5  # growth of the least distance while there are too many key touches
 LISTED = 30  # poses among which a rival of the true pose is sought
 SENSOR = "gelsight-mini"
 DURATION_S, RATE_HZ, ELASTIC_RATE_HZ = 2.0, 100.0, 25.0
@@ -76,7 +78,7 @@ Example = TypeVar("Example", bound=Drawn)
 
 @dataclass(frozen=True)
 class Slide(Drawn):
-    """One slide: a row of lists for its F frames.
+    """One slide of one finger or two: a row of lists for its F frames.
 
     `off_mm` is the pose error of the tracker's first pose, infinite without a pose, and `batch_mm` that of the
     key touches located together. `determined` states whether these touches determine the pose.
@@ -89,6 +91,11 @@ class Slide(Drawn):
     batch_mm: list[float]
     batch_certain: list[bool]
     determined: list[bool]
+
+    @property
+    def fingers(self) -> int:
+        """The number of fingers."""
+        return 1 + self.number % 2
 
 
 def make_localizer(mesh: str, condition: str, store: StageStore) -> Localizer:
@@ -110,7 +117,7 @@ def make_sliding(localizer: Localizer, condition: str) -> tuple[RobotTouches, Sl
 
 
 def draw_slide(localizer: Localizer, condition: str, rng: np.random.Generator) -> list[Frame]:
-    """Return the frames of one slide."""
+    """Return the frames of one finger of a slide."""
     source, sliding = make_sliding(localizer, condition)
     frames = sliding.draw_example(round(DURATION_S * sliding.rate_hz), rng)
     return [soften(frame, source, localizer, rng) for frame in frames] if condition == ELASTIC else frames
@@ -153,6 +160,29 @@ def explain_by_truth(localizer: Localizer, touches: Sequence[Touch], outliers: S
     return float(compare_refined(views, registered, trusted)[0, trusted].mean())
 
 
+def choose_key_touches(touches: Sequence[Touch]) -> list[Touch]:
+    """Return at most KEYS touches, in order, whose sensor poses are at least APART_MM apart, those with most contact.
+
+    If there are more, they have to be farther apart.
+    """
+    kept, apart_m = thin(touches, APART_MM / MM), APART_MM / MM
+    while len(kept) > KEYS:
+        apart_m *= WIDER
+        kept = thin(kept, apart_m)
+    return kept
+
+
+def thin(touches: Sequence[Touch], apart_m: float) -> list[Touch]:
+    """Return touches whose sensor poses are at least `apart_m` metres apart; of nearer ones, that with more contact."""
+    kept: list[Touch] = []
+    for touch in touches:
+        T, gel_m = np.asarray(touch.T_base_sensor), touch.geometry.gel_middle_m
+        near = [k for k in kept if measure_motion_m(np.asarray(k.T_base_sensor), T, gel_m, LEVER_M) < apart_m]
+        if all(touch.contact_share > one.contact_share for one in near):
+            kept = [*(one for one in kept if all(one is not other for other in near)), touch]
+    return kept
+
+
 def measure_off_mm(localizer: Localizer, T: np.ndarray | None, frame: Frame) -> float:
     """Return the pose error, mm, of a pose (4, 4), metres, in a frame's sensor frame; infinite without a pose."""
     if T is None:
@@ -160,15 +190,16 @@ def measure_off_mm(localizer: Localizer, T: np.ndarray | None, frame: Frame) -> 
     return MM * float(measure_pose_errors(localizer.object, T[None], frame.T_sensor_object)[0])
 
 
-def locate_by_keys(localizer: Localizer, frames: Sequence[Frame]) -> Iterator[tuple[float, bool, bool]]:
-    """Yield what `locate_keys` returns for the key touches of the frames so far, for each frame."""
-    keys: list[str] = []
+def locate_by_keys(localizer: Localizer, shown: Sequence[Sequence[Touch | None]]) -> Iterator[tuple[float, bool, bool]]:
+    """Yield what `locate_keys` returns for the key touches so far, for each frame's touches of all fingers."""
+    touches: list[Touch] = []
+    keys: list[int] = []
     batch = (np.inf, False, False)
-    for k in range(len(frames)):
-        touches = [frame.touch for frame in frames[: k + 1] if frame.touch is not None]
-        chosen = choose_key_touches(touches, KEYS, APART_MM / MM, LEVER_M)
-        if [touch.name for touch in chosen] != keys:
-            keys, batch = [touch.name for touch in chosen], locate_keys(localizer, chosen)
+    for each in shown:
+        touches += [touch for touch in each if touch is not None]
+        chosen = choose_key_touches(touches)
+        if list(map(id, chosen)) != keys:
+            keys, batch = list(map(id, chosen)), locate_keys(localizer, chosen)
         yield batch
 
 
@@ -179,16 +210,19 @@ def make_seed(localizer: Localizer, condition: str, number: int, seed: int) -> l
 
 def track(localizer: Localizer, condition: str, number: int, seed: int) -> Slide:
     """Return one slide, tracked, and located by its key touches."""
-    frames = draw_slide(localizer, condition, np.random.default_rng(make_seed(localizer, condition, number, seed)))
     slide = Slide(localizer.object.name, condition, number, [], [], [], [], [], [], [])
-    tracker = Tracker(localizer)
-    for frame, batch in zip(frames, locate_by_keys(localizer, frames), strict=True):
+    rngs = np.random.default_rng(make_seed(localizer, condition, number, seed)).spawn(slide.fingers)
+    frames = list(zip(*(draw_slide(localizer, condition, rng) for rng in rngs), strict=True))
+    shown = [[frame.touch for frame in each] for each in frames]
+    tracker, finger = Tracker(localizer), 0
+    for each, touches, batch in zip(frames, shown, locate_by_keys(localizer, shown), strict=True):
         start = time.perf_counter()
-        found = tracker.update(frame.time_s, frame.touch, frame.T_base_sensor)
+        found = tracker.update(each[0].time_s, touches, each[0].T_base_sensor if len(each) == 1 else None)
         slide.ms.append(1e3 * (time.perf_counter() - start))
+        finger = next((k for k, touch in enumerate(touches) if touch is not None), finger)
         slide.verdicts.append(str(found.verdict))
         slide.searched.append(found.searched)
-        slide.off_mm.append(measure_off_mm(localizer, found.T_sensor_object, frame))
+        slide.off_mm.append(measure_off_mm(localizer, found.T_sensor_object, each[finger]))
         for values, value in zip((slide.batch_mm, slide.batch_certain, slide.determined), batch, strict=True):
             values.append(value)  # type: ignore[attr-defined]
     return slide
@@ -256,19 +290,28 @@ def collect(
     return examples
 
 
-def print_table(head: str, write: Callable[[str, Sequence[Example]], str], examples: Sequence[Example]) -> None:
-    """Print a table with a row for each condition, and one for all."""
+def print_table(
+    head: str,
+    write: Callable[[str, Sequence[Example]], str],
+    examples: Sequence[Example],
+    name: Callable[[Example], str] = lambda one: one.condition,
+) -> None:
+    """Print a table with a row for each name of examples, and one for all."""
     print(head)
-    for condition in CONDITIONS:
-        some = [one for one in examples if one.condition == condition]
-        if some:
-            print(write(condition, some))
+    for key in dict.fromkeys(map(name, sorted(examples, key=lambda one: CONDITIONS.index(one.condition)))):
+        print(write(key, [one for one in examples if name(one) == key]))
     print(write("all", examples))
+
+
+def name_slide(slide: Slide) -> str:
+    """Return the name of a slide's row in the table."""
+    return f"{slide.condition}, {('one finger', 'two fingers')[slide.fingers - 1]}"
 
 
 def main() -> None:
     """Print the table."""
-    print_table(HEAD, write_row, collect(make_parser(__doc__, "slides", 2, 7).parse_args(), Slide, track))
+    slides = collect(make_parser(__doc__, "slides", 2, 7).parse_args(), Slide, track)
+    print_table(HEAD, write_row, slides, name_slide)
 
 
 if __name__ == "__main__":

@@ -64,6 +64,7 @@ class TrackerOptions(StrictModel):
     lever_mm: float = Field(default=10.0, gt=0, description="lever arm that converts rotation to motion, mm")
     keyframe_mm: float = Field(default=2.0, gt=0, description="sensor motion between two keyframes, mm")
     keyframes: int = Field(default=5, ge=1, description="most keyframes in one search")
+    places: int = Field(default=16, ge=1, description="most touches kept, of which a search chooses its keyframes")
     image_px: int = Field(default=60, ge=16, description="image side for drawing modes, pixels")
     fall_iou: float = Field(default=0.15, ge=0, le=1, description="loss of imprint IoU that contradicts the track")
     clear_percent: float = Field(default=0.5, ge=0, description="least contact of a touch that can end a track, %")

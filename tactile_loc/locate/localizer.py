@@ -304,16 +304,18 @@ class Localizer:
         top: int | None = None,
         coverage: float | None = None,
         starts: Poses | None = None,
+        searches: bool = True,
     ) -> Localization:
         """Return the posterior over poses given a touch, or several, and its `top` distinct hypotheses, refined.
 
         The touches are of the localizer's sensors, and several touches need `T_base_sensor`. `prior` maps poses
         (N, 4, 4) in metres to log-weights (N,). With a `coverage`, 0 to 1, the hypotheses are a set that contains the
-        true pose with that probability: see `PoseSet`. `starts` are as for `localize_together`. Raises TactileLocError
-        if no pose fits the touches.
+        true pose with that probability: see `PoseSet`. `starts` and `searches` are as for `localize_together`. Raises
+        TactileLocError if no pose fits the touches.
         """
         given = touches if isinstance(touches, list | tuple) else [cast(Touch, touches)]
-        return localize_together([(self.find_localizer(touch), touch) for touch in given], prior, top, coverage, starts)
+        observations = [(self.find_localizer(touch), touch) for touch in given]
+        return localize_together(observations, prior, top, coverage, starts, searches)
 
     def locate(
         self, touches: Touch | Sequence[Touch | None] | None, time_s: float | None = None, top: int | None = None
@@ -405,6 +407,7 @@ def localize_together(
     top: int | None = None,
     coverage: float | None = None,
     starts: Poses | None = None,
+    searches: bool = True,
 ) -> Localization:
     """Return the posterior over poses given touches of one object, and its `top` distinct hypotheses, refined.
 
@@ -412,13 +415,14 @@ def localize_together(
     each needs `T_base_sensor` (4, 4), metres. Poses are in the first touch's sensor frame, and the posterior is over
     the first localizer's grid. `prior` maps poses (N, 4, 4) of this grid to log-weights (N,). `coverage` is as for
     `Localizer.localize`. The poses `starts` (K, 4, 4), metres, in the first touch's sensor frame, are refined and
-    compared in any case. Raises TactileLocError if no pose fits all touches.
+    compared in any case; without `searches`, they are the only ones. Raises TactileLocError if no pose fits all
+    touches.
 
     `Localization.outliers` are the touches that contradict the others. If the first localizer's configuration sets
     `drop_outliers`, the other touches are located again without the outliers. The outliers are then in
     `Localization.left_out`, and poses are in the sensor frame of the first remaining touch.
     """
-    query = replace(make_query(observations, prior, top), starts=starts)
+    query = replace(make_query(observations, prior, top), starts=starts, searches=searches)
     require_within_reach(query.touches, observations[0][0].object)
     return _answer(query, observations, None, coverage)
 

@@ -18,10 +18,11 @@ from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.scene import View, view_touch
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.config import RunConfig
+from tactile_loc.locate.hypotheses import compute_imprint_ious
 from tactile_loc.locate.probability.conformal import LISTED
 from tactile_loc.locate.probability.temperature import SHARED
 from tactile_loc.locate.result.hypothesis import Hypothesis, RefinedBy
-from tactile_loc.locate.sources.source import PoseSource, Scored
+from tactile_loc.locate.sources.source import PoseSource, Scored, rate_poses
 from tactile_loc.slots.fuser import Fuser
 from tactile_loc.slots.refiner import Refiner
 
@@ -36,8 +37,9 @@ class Query:
 
     Poses are in the first touch's sensor frame. The `prior` is over these poses. At least `top` hypotheses are
     refined, and `top` are listed, or as many as contain the true pose with the probability `coverage`. The poses
-    `starts` (K, 4, 4), metres, are refined in any case. The duration of each stage is added to `times`. `outlined` is
-    the query by the law of the gel that knows the contact's outline best, if the touches are read by several laws.
+    `starts` (K, 4, 4), metres, are refined in any case; without `searches`, they are the only ones. The duration of
+    each stage is added to `times`. `outlined` is the query by the law of the gel that knows the contact's outline best,
+    if the touches are read by several laws.
     """
 
     views: Sequence[View]
@@ -45,6 +47,7 @@ class Query:
     top: int = 1
     coverage: float | None = None
     starts: Poses | None = None
+    searches: bool = True
     times: StageTimes = field(default_factory=StageTimes)
     outlined: Sequence[Query] = ()
 
@@ -200,7 +203,11 @@ class LocatingMethod:
         return temper(query.prior, lambda count: power(len(query.views) + told) / power(count))
 
     def search(self, query: Query) -> Scored:
-        """Return each touch's own posterior, from the source."""
+        """Return each touch's own posterior, from the source, or over the poses that the query gives."""
+        if not query.searches:
+            poses, options = np.asarray(query.starts), self.config.search
+            ious = compute_imprint_ious(query.views, poses, options.image_px, 1e-3 * options.free_z_mm)
+            return rate_poses(query.views, self.sources, poses, ious)
         return self.source.search(query.views, self.sources, query.times, query.prior)
 
     def fuse(self, scored: Scored, query: Query) -> PosePosterior | NoPoseLeft:
@@ -237,14 +244,17 @@ class LocatingMethod:
 
         A query that lists fewer than PROPOSED poses has the same modes, and so the same verdict.
         """
+        modes, nothing = [], np.empty(0, np.int64)
         with query.times.stage("modes"):
-            top = max(query.top, self.config.top, PROPOSED if query.coverage is None else LISTED)
-            modes = self.source.propose(query.views, scored, posterior, self.temper_prior(query), top)
+            if query.searches:
+                top = max(query.top, self.config.top, PROPOSED if query.coverage is None else LISTED)
+                modes = self.source.propose(query.views, scored, posterior, self.temper_prior(query), top)
             if query.starts is None:
                 return modes
             nearest = posterior.grid.nearest(query.starts)[1]
-            nothing = np.empty(0, np.int64)
-            return [*modes, *(Mode(int(k), 0.0, T, nothing) for k, T in zip(nearest, query.starts, strict=True))]
+            p = 0.0 if query.searches else posterior.probabilities[nearest]
+            given = zip(nearest, np.broadcast_to(p, len(nearest)), query.starts, strict=True)
+            return [*modes, *(Mode(int(k), float(share), T, nothing) for k, share, T in given)]
 
 
 def _add_sensor_error(view: View, pose: RefinedPose) -> RefinedPose:

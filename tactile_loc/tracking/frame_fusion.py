@@ -15,7 +15,7 @@ from tactile_loc.locate.localizer import localize_together
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.tracking.key_touches import choose_key_touches
+from tactile_loc.tracking.key_search import KeySearch, choose_telling
 from tactile_loc.tracking.replay import ReplayedFrame, ReplayFrame, ReplaySource
 from tactile_loc.tracking.tracker import Tracker
 
@@ -120,7 +120,7 @@ class RestPose:
 def fuse_frames(source: ReplaySource) -> tuple[RestPose, list[ReplayedFrame]]:
     """Locate an object at rest from the images of a source together; return its pose, and the result of each image.
 
-    Up to MOST_KEYS touches are located together. They are far apart and have much contact. The pose is then compared
+    Up to MOST_KEYS touches, far apart, are located together. The pose is then compared
     with all touches. Raises FrameError if the source has no base frame, RecordingError if no image has a touch and a
     sensor pose, and GridError if no pose fits the touches.
     """
@@ -128,7 +128,8 @@ def fuse_frames(source: ReplaySource) -> tuple[RestPose, list[ReplayedFrame]]:
     localizer = source.localizer
     options = localizer.config.tracker
     touches = (_name(frame) for frame in source.read_frames() if _is_usable(frame) and frame.touch is not None)
-    keys = choose_key_touches(touches, MOST_KEYS, 1e-3 * options.keyframe_mm, 1e-3 * options.lever_mm)
+    kept = KeySearch(localizer).add_new_places(touches).touches
+    keys = choose_telling(localizer, kept, np.empty((0, 4, 4)), MOST_KEYS)
     if not keys:
         raise RecordingError(f"none of the {source.about} shows contact at a known sensor pose")
     found = localize_together([(localizer, key) for key in keys])

@@ -1,7 +1,7 @@
-"""Key touches: a few touches of a sequence, at sensor poses far apart."""
+"""Touches of a sequence at sensor poses far apart."""
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,6 @@ from tactile_loc.core.geometry.rigid import invert, rotation_angle
 from tactile_loc.core.sensing.touch import Touch
 
 Floats = NDArray[np.float64]
-
-WIDER = 1.5  # growth of the least distance while there are too many key touches
 
 
 def measure_motion_m(T_base_first: Floats, T_base_second: Floats, gel_m: Floats, lever_m: float) -> float:
@@ -24,24 +22,6 @@ def measure_motion_m(T_base_first: Floats, T_base_second: Floats, gel_m: Floats,
     return float(shift_m + lever_m * rotation_angle(T[:3, :3]))
 
 
-def choose_key_touches(touches: Iterable[Touch], most: int, apart_m: float, lever_m: float) -> list[Touch]:
-    """Return at most `most` touches, in order, whose sensor poses are at least `apart_m` metres apart.
-
-    Of touches nearer to each other, the one with more contact is kept. The touches need sensor poses. They are read
-    once, so they may come from a long recording.
-    """
-    kept: list[Touch] = []
-    for touch in touches:
-        kept = _add(kept, touch, apart_m, lever_m)
-        while len(kept) > 3 * most:
-            apart_m *= WIDER
-            kept = _thin(kept, apart_m, lever_m)
-    while len(kept) > most:
-        apart_m *= WIDER
-        kept = _thin(kept, apart_m, lever_m)
-    return kept
-
-
 def drop_nearest(touches: Sequence[Touch], lever_m: float) -> list[Touch]:
     """Return touches without one of the two whose sensor poses are nearest to each other: the one with less contact."""
     gel_m, poses = touches[0].geometry.gel_middle_m, [np.asarray(touch.T_base_sensor) for touch in touches]
@@ -51,26 +31,6 @@ def drop_nearest(touches: Sequence[Touch], lever_m: float) -> list[Touch]:
     )
     less = min(nearest, key=lambda number: _measure_contact(touches[number]))
     return [touch for number, touch in enumerate(touches) if number != less]
-
-
-def _thin(touches: list[Touch], apart_m: float, lever_m: float) -> list[Touch]:
-    kept: list[Touch] = []
-    for touch in touches:
-        kept = _add(kept, touch, apart_m, lever_m)
-    return kept
-
-
-def _add(kept: list[Touch], touch: Touch, apart_m: float, lever_m: float) -> list[Touch]:
-    """Return the touches with another one, unless a near one has as much contact; nearer ones with less are dropped."""
-    gel_m = touch.geometry.gel_middle_m
-    near = [
-        one
-        for one in kept
-        if measure_motion_m(np.asarray(one.T_base_sensor), np.asarray(touch.T_base_sensor), gel_m, lever_m) < apart_m
-    ]
-    if any(_measure_contact(one) >= _measure_contact(touch) for one in near):
-        return kept
-    return [*(one for one in kept if all(one is not other for other in near)), touch]
 
 
 def _measure_contact(touch: Touch) -> int:

@@ -24,7 +24,6 @@ from tactile_loc.core.geometry.rigid import cross_matrix, invert
 
 Floats = NDArray[np.float64]
 
-UNKNOWN = np.array([1.0] * 3 + [3.0] * 3)  # standard deviations, m and rad, of an unknown pose
 FREEDOM = 4.0  # degrees of freedom of Student's t
 POSE, TOUCH, SENSOR = slice(0, 6), slice(6, 12), slice(12, 18)
 
@@ -66,12 +65,6 @@ class PoseFilter:
         P = np.zeros((18, 18))
         P[POSE, POSE] = _to_unit(covariance)
         return cls(T_base_object, np.zeros(12), P)
-
-    @classmethod
-    def of_touch(cls, seen: SeenPose) -> PoseFilter:
-        """Start from one touch."""
-        T = seen.T_base_sensor @ seen.T_sensor_object
-        return cls.known(T, np.diag(np.square(UNKNOWN))).update(seen, 1.0)
 
     def predict(self, creep: Floats) -> PoseFilter:
         """Return the filter after the object may have moved.

@@ -17,6 +17,7 @@ from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compute_nats
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.tracking.pose_filter import PoseFilter, SeenPose, estimate_motion_errors
 
@@ -160,26 +161,21 @@ class ModeFilter:
         std_m = float(np.hypot(np.sqrt(3) * self._slip_std[0], np.sqrt(2) * self._slip_std[3] * lever_m))
         return SlipPrior(mode.known.T_base_object, std_m, self.options.stay_nats, self._metric)
 
-    def find_all(self, found: Localization, touch: Touch) -> list[TrackMode]:
-        """Return a search's hypotheses as modes, the most probable first. `touch` is the first touch of the search."""
-        T_base_sensor, modes = np.asarray(touch.T_base_sensor), []
-        for hypothesis in found.hypotheses[: self.options.modes]:
-            if hypothesis.refined.covariance is not None:
-                T, covariance = hypothesis.T_sensor_object, hypothesis.refined.covariance
-                known = PoseFilter.of_touch(self._see([touch], T, covariance))
-                nats = math.log(max(hypothesis.probability, 1e-300))
-                modes.append(self._view(TrackMode(known, T, covariance, nats, hypothesis.imprint_iou), T_base_sensor))
-        return modes
+    def find_all(self, found: Localization) -> list[TrackMode]:
+        """Return a search's hypotheses as modes, the most probable first.
 
-    def renew(self, modes: Sequence[TrackMode], found: Sequence[TrackMode]) -> list[TrackMode]:
-        """Return the modes that a search found; those near a followed mode take over its pose, from more touches."""
-        renewed, T = [], np.array([mode.known.T_base_object for mode in modes]).reshape(-1, 4, 4)
-        for new in found:
-            far_m = self._metric.symmetric_distance(T, new.known.T_base_object[None])
-            k = int(far_m.argmin()) if len(T) else -1
-            near = k >= 0 and far_m[k] < self.localizer.source.setup.merge_radius_m
-            renewed.append(replace(modes[k], nats=new.nats) if near else new)
-        return renewed
+        Of the poses that explain the touches as well as the first one, the one that the prior favours most comes first.
+        """
+        known = [one for one in found.hypotheses if one.T_base_object is not None and one.base_covariance is not None]
+        as_well = explain_as_well(np.array([one.imprint_iou for one in known]), found.best.imprint_iou, found.as_well)
+        favoured = [one.prior_nats if well else -np.inf for one, well in zip(known, as_well, strict=True)]
+        modes: list[TrackMode] = []
+        for k in sorted(range(len(known)), key=lambda k: -favoured[k])[: self.options.modes]:
+            one = known[k] if modes else replace(known[k], probability=found.best.probability)
+            nats = math.log(max(one.probability, 1e-300))
+            pose = PoseFilter.known(np.asarray(one.T_base_object), np.asarray(one.base_covariance))
+            modes.append(TrackMode(pose, pose.T_base_object, pose.base_covariance, nats, one.imprint_iou))
+        return modes
 
     def view_from(self, modes: Sequence[TrackMode], T_base_sensor: Floats) -> list[TrackMode]:
         """Return modes as seen from a sensor at T_base_sensor (4, 4), metres."""

@@ -18,12 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import rotate_covariance
-from tactile_loc.core.geometry.rigid import require_covariance, require_rigid
+from tactile_loc.core.geometry.rigid import Poses, require_covariance, require_rigid
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch, require_depths
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.freedom import AS_WELL, find_as_well
-from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.result.verdict import Verdict, judge
 from tactile_loc.tracking.key_search import KeySearch, Searched
 from tactile_loc.tracking.key_touches import measure_motion_m
 from tactile_loc.tracking.track_modes import ModeFilter, TrackMode
@@ -203,7 +202,7 @@ class Tracker:
         """Begin a search if one is due, use the result of one that has ended, and return whether one was under way."""
         self._check_on()
         if self._searches and self._search.is_due:
-            self._search = self._search.begin(self._modes, self._time_s)
+            self._search = self._search.begin(self._list_poses(), self._time_s)
         if self._search.running is None:
             return False
         self._search, finished = self._search.finish(self._time_s, waits=not self.live)
@@ -221,13 +220,16 @@ class Tracker:
             return
         self._checked_s = min(self._checked_s, self._time_s)
         if self._check.is_due and self._time_s - self._checked_s >= self.options.check_s > 0:
-            self._check, self._checked_s = self._check.begin(self._modes, self._time_s), self._time_s
+            self._check, self._checked_s = self._check.begin(np.empty((0, 4, 4)), self._time_s), self._time_s
         self._check, finished = self._check.finish(self._time_s, waits=not self.live)
         if finished is None:
             return
         self._check = self._check.restart(())
-        if finished.found is not None and finished.found.verdict is Verdict.CERTAIN and finished.gains[0] > -np.inf:
-            self._search = self._search.restart(finished.keys)
+        if finished.found is None or finished.found.verdict is not Verdict.CERTAIN:
+            return
+        T, tolerance = finished.every[:1], self.localizer.config.tolerance
+        if not tolerance.find_within(self.localizer.object, T[0], self._list_poses()[:1]).all():
+            self._search = self._search.restart(finished.touches)
             self._trust = self._trust.restart(Verdict.AMBIGUOUS, 0.5, self._trust.usual_iou)
 
     def _suspects_slip(self, doubted: bool) -> bool:
@@ -268,15 +270,10 @@ class Tracker:
         If the modes were doubted, they stay unless the search found a pose that explains its touches clearly better.
         They also stay if it explains them worse than usual, unless the modes do not explain them at all. Then the new
         pose is at most ambiguous, because the object may be another one. The same holds for a pose from one touch.
-
-        Modes also stay if one of them explains the touches better, because then the search has missed it. A mode that
-        explains them as well makes the pose ambiguous.
         """
-        found, keys = finished.found, finished.keys
-        new = [] if found is None else self._filter.find_all(found, keys[0])
+        found, keys = finished.found, finished.touches
+        new = [] if found is None else self._filter.find_all(found)
         if found is None or not new:
-            return
-        if self._undoubted is None and finished.gains.max(initial=-np.inf) > AS_WELL:
             return
         (iou,) = self._filter.explain(new[:1], keys)
         unproven = False
@@ -287,21 +284,27 @@ class Tracker:
             if unsure or (worse and explained) or (iou - tracked) * len(keys) < self.options.lost_iou:
                 return  # a few bad touches do not end a track
             self._undoubted, unproven = None, worse or len(keys) == 1
-        missed = [
-            replace(mode, nats=new[0].nats)
-            for mode, gain in zip(finished.known, finished.gains, strict=True)
-            if gain >= -find_as_well(keys)
-        ]
-        renewed = [*self._filter.renew(self._modes, new), *missed]
-        self._modes = self._filter.view_from(renewed, np.asarray(self._T_base_sensor))
-        verdict = Verdict.AMBIGUOUS if (missed or unproven) and found.verdict is Verdict.CERTAIN else found.verdict
-        self._trust = self._trust.restart(verdict, finished.right / (1 + len(missed)), iou, len(keys))
+        self._modes, self._alike = self._filter.view_from(new, np.asarray(self._T_base_sensor)), 0.0
+        verdict = found.verdict
+        if (
+            verdict is Verdict.POOR_FIT
+            and 2 * len(found.poor_touches) < len(keys)
+            and not found.agreement.contradictory
+        ):
+            verdict = judge(found.outcome, sure=found.is_sure, least=found.confidence)  # a few of many are bad touches
+        unproven |= not np.array_equal(new[0].known.T_base_object, np.asarray(found.T_base_object))
+        verdict = Verdict.AMBIGUOUS if unproven and verdict is Verdict.CERTAIN else verdict
+        self._trust = self._trust.restart(verdict, found.probability_within(), iou, len(keys))
         if verdict is Verdict.CERTAIN:
             self._stayed = None
         if self._trust.settled:
             self._modes = self._modes[:1]
-        elif found.verdict is Verdict.POOR_FIT and len(keys) > 1:
+        elif found.agreement.contradictory:
             self._search = self._search.restart(keys[-1:])  # the object has moved since the first key touches
+
+    def _list_poses(self) -> Poses:
+        """Return the modes' poses T_base_object (K, 4, 4), metres."""
+        return np.array([mode.known.T_base_object for mode in self._modes]).reshape(-1, 4, 4)
 
     def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
         """Return the distance the gel moved between sensor poses (4, 4), metres; a rotation counts with `lever_mm`."""
@@ -360,6 +363,8 @@ class Tracker:
         if self._modes:
             p = self._trust.share(np.exp([mode.nats - self._modes[0].nats for mode in self._modes]))
         verdict = self._trust.judge(bool(self._modes), imprint_iou, touched)
+        if verdict is Verdict.CERTAIN and self._undoubted is not None:
+            verdict = Verdict.AMBIGUOUS
         best = self._modes[0] if self._modes else None
         self._latest = TrackedPose(
             verdict,

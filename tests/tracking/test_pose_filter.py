@@ -72,6 +72,12 @@ def test_a_wrong_sensor_pose_is_removed_from_the_view():
         assert np.allclose(seen / np.outer(STD, STD), np.outer(moved_by, moved_by), atol=1e-6)
 
 
+def start(seen: SeenPose) -> PoseFilter:
+    """Return the filter of an unknown pose after one touch."""
+    T = seen.T_base_sensor @ seen.T_sensor_object
+    return PoseFilter.known(T, np.diag(np.square([1.0] * 3 + [3.0] * 3))).update(seen, 1.0)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_the_filter_equals_the_least_squares_of_all_touches(share):
     """Touches of a rotated sensor differ only by shifts, and their common errors fade: the equations are linear."""
@@ -119,7 +125,7 @@ def test_the_first_touch_keeps_its_pose_and_covariance():
     rng = np.random.default_rng(2)
     T_base_sensor, T_sensor_object = poses(2, rng)
     C = covariance(STD, rng)
-    T, found = PoseFilter.of_touch(seen_pose(T_base_sensor, T_sensor_object, C)).view_from(T_base_sensor, GEL)
+    T, found = start(seen_pose(T_base_sensor, T_sensor_object, C)).view_from(T_base_sensor, GEL)
     assert np.allclose(T, T_sensor_object)
     assert np.allclose(scaled(found, C), scaled(C, C), atol=1e-3)
 
@@ -168,7 +174,7 @@ def test_the_covariance_is_right_for_correlated_errors():
             error = np.sqrt(0.75) * STD * common + np.sqrt(0.25) * STD * rng.normal(size=6)
             reported = true_T_base_sensor @ about(GEL, np.sqrt(np.diag(SENSOR)) * sensor)
             seen = seen_pose(reported, move(T, error), C)
-            filtered = PoseFilter.of_touch(seen) if filtered is None else filtered.update(seen, share)
+            filtered = start(seen) if filtered is None else filtered.update(seen, share)
             fresh = np.sqrt(1 - (1 - share) ** 2)
             common, sensor = ((1 - share) * old + fresh * rng.normal(size=6) for old in (common, sensor))
         found, P = filtered.view_from(reported, GEL)

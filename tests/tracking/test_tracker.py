@@ -299,7 +299,7 @@ def test_two_fingers_are_searched_together_from_an_unknown_start(pin, fingers):
     tracker = Tracker(at_once(pin))
     found = tracker.update(0.0, fingers[:2])
     assert found.searched
-    assert [key.name for key in tracker._search.keys] == [touch.name for touch in fingers[:2]]
+    assert [key.name for key in tracker._search.touches] == [touch.name for touch in fingers[:2]]
     assert found.verdict is pin.localize(fingers[:2]).verdict
 
 

@@ -279,12 +279,16 @@ class Localization:
             return self.assessed.verdict
         if self._is_contradicted:
             return Verdict.POOR_FIT
-        sure = self.depths_known and not self.unexpected and self.best.covariance is not None
-        verdict = judge(self.outcome, sure=sure, poor=bool(self.poor_touches), least=self.confidence)
+        verdict = judge(self.outcome, sure=self.is_sure, poor=bool(self.poor_touches), least=self.confidence)
         if verdict is Verdict.NOT_FOUND and self.outcome and self.evidence and str(self.freedom):
             explained = load_outcome_model().measure_excess(self.evidence).max() <= EXPLAINED
             return Verdict.AMBIGUOUS if explained else verdict
         return verdict
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the first pose may be certain: see `verdict`."""
+        return self.depths_known and not self.unexpected and self.best.covariance is not None
 
     @property
     def confidence(self) -> float:

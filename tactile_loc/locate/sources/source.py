@@ -241,3 +241,15 @@ def require_one_kind(sources: Sequence[PoseSource]) -> None:
             "some localizers search the whole object and others a grid of listed poses; give all of them the grid "
             "whole, or none"
         )
+
+
+def rate_poses(views: Sequence[View], sources: Sequence[PoseSource], T_first_object: Poses, ious: Values) -> Scored:
+    """Return each touch's posterior over poses (K, 4, 4), metres, in its own sensor frame, with its source's scaling.
+
+    The poses are in the first touch's sensor frame. `ious` (K, N), 0 to 1, are their imprint IoUs with the touches.
+    """
+    alone = []
+    for view, source, own in zip(views, sources, ious.T, strict=True):
+        grid = PoseGrid(view.T_sensor_first @ T_first_object, source.setup.metric)
+        alone.append(source.temperature_scaling.posterior(grid, own))
+    return Scored(alone)

@@ -19,7 +19,7 @@ from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.objects.surface_field import build_surface_field
 from tactile_loc.core.places.places import Places
 from tactile_loc.core.poses.merging import suppress_non_maxima
-from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
+from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom
 from tactile_loc.core.runtime.progress import StageTimes
@@ -30,7 +30,7 @@ from tactile_loc.locate.hypotheses import DOUBT, choose_best_apart, compare_wher
 from tactile_loc.locate.probability.temperature import SEARCHED, TemperatureScaling
 from tactile_loc.locate.sources.place_search import MOST_UNEXPLAINED, PlaceSearch
 from tactile_loc.locate.sources.scoring import Scores
-from tactile_loc.locate.sources.source import PoseSource, Scored, Values, require_one_kind
+from tactile_loc.locate.sources.source import PoseSource, Scored, Values, rate_poses, require_one_kind
 from tactile_loc.locate.sources.stored_places import PlaceBanks, load_places
 
 ROUGH_CELL_M = 1e-3  # side of a cell of the surface's field in a rough search
@@ -86,7 +86,8 @@ class WholeObjectSource(PoseSource):
         require_one_kind(sources)
         self.load_field()
         searches = [source.place_search for source in sources if isinstance(source, WholeObjectSource)]
-        return search_together(views, searches, times, prior).rate(views, sources, self.place_search.metric)
+        found = search_together(views, searches, times, prior)
+        return rate_poses(views, sources, found.T_first_object, found.ious)
 
     def propose(
         self, views: Sequence[View], scored: Scored, fused: PosePosterior, prior: Prior | None, top: int
@@ -176,14 +177,6 @@ class FoundTogether:
 
     T_first_object: Poses
     ious: NDArray[np.float64]
-
-    def rate(self, views: Sequence[View], sources: Sequence[PoseSource], metric: PoseMetric) -> Scored:
-        """Return each touch's posterior over the poses, in its own sensor frame, with its source's scaling."""
-        alone = []
-        for view, source, ious in zip(views, sources, self.ious.T, strict=True):
-            grid = PoseGrid(view.T_sensor_first @ self.T_first_object, metric)
-            alone.append(source.temperature_scaling.posterior(grid, ious))
-        return Scored(alone)
 
 
 def search_together(
