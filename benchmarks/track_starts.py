@@ -50,7 +50,7 @@ from tactile_loc.locate.localizer import Localizer, localize_together
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.store.store import StageStore
-from tactile_loc.tracking.key_touches import measure_motion_m
+from tactile_loc.tracking.key_search import measure_motion_m
 from tactile_loc.tracking.tracker import Tracker
 
 MM = 1e3

@@ -1,7 +1,8 @@
-"""The search of a track: its key touches are located together, in another thread."""
+"""The touches of a track at different places, and the search that locates them together, in another thread."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
@@ -10,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert
+from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
 from tactile_loc.core.poses.priors import PosePrior
 from tactile_loc.core.runtime.compiled import run_aside
 from tactile_loc.core.runtime.errors import GridError
@@ -19,29 +20,12 @@ from tactile_loc.locate.hypotheses import NATS_PER_IOU, compute_imprint_ious
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.tracking.belief import believe
-from tactile_loc.tracking.key_touches import drop_nearest, measure_motion_m
 
 Floats = NDArray[np.float64]
 
 MOST_LISTED = 30  # poses that the next search also refines
 MOST_JUDGED = 10  # of them that are compared with all touches
 NATS_PER_M = 10.0  # a key touch this far from the others adds as much as a nat against a wrong pose
-
-
-@dataclass(frozen=True, eq=False)
-class Searched:
-    """A finished search: the touches that were located together, and the result; None if no pose fits them."""
-
-    touches: tuple[Touch, ...]
-    found: Localization | None
-
-    @property
-    def every(self) -> Poses:
-        """The poses T_base_object (K, 4, 4), metres, that were found, the most probable first."""
-        if self.found is None:
-            return np.empty((0, 4, 4))
-        poses = [one.T_sensor_object for one in (*self.found.hypotheses, *self.found.unlisted)]
-        return np.asarray(self.found.touch.T_base_sensor) @ np.stack(poses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +44,7 @@ class KeySearch:
     prior: PosePrior | None = None
     begun: tuple[Touch, ...] = ()
     listed: Poses = field(default_factory=lambda: np.empty((0, 4, 4)))
-    running: Future[Searched] | None = None
+    running: Future[Localization | None] | None = None
     due_s: float = 0.0
 
     def is_new_place(self, touch: Touch) -> bool:
@@ -107,32 +91,39 @@ class KeySearch:
         due_s = time_s + self.localizer.config.tracker.latency_s
         return replace(self, begun=self.touches, running=run_aside(search), due_s=due_s)
 
-    def finish(self, time_s: float, waits: bool) -> tuple[KeySearch, Searched | None]:
-        """Return the search and, if it is due at `time_s` seconds and has finished, its result.
+    def finish(self, time_s: float, waits: bool) -> tuple[KeySearch, Localization | None]:
+        """Return the search and, if it is due at `time_s` seconds and has found a pose for `begun`, its result.
 
         If it is due and has not finished, it is waited for if the caller `waits`.
         """
         if self.running is None or time_s < self.due_s or not (waits or self.running.done()):
             return self, None
-        finished = self.running.result()
-        listed = self.listed if finished.found is None else finished.every[:MOST_LISTED]
-        return replace(self, running=None, listed=listed), finished
+        found = self.running.result()
+        listed = self.listed if found is None else list_poses(found)[:MOST_LISTED]
+        return replace(self, running=None, listed=listed), found
 
 
-def search_touches(localizer: Localizer, touches: Sequence[Touch], prior: PosePrior | None, starts: Poses) -> Searched:
-    """Locate touches together: search with those that rule out wrong poses, then judge what is found by all of them.
+def search_touches(
+    localizer: Localizer, touches: Sequence[Touch], prior: PosePrior | None, starts: Poses
+) -> Localization | None:
+    """Search with the touches that rule out wrong poses, then judge what is found by all of them.
 
     The prior is over T_base_object. The poses `starts` (K, 4, 4), metres, of T_base_object are compared in any case.
+    Returns None if no pose fits the touches.
     """
     keys = choose_telling(localizer, touches, starts, localizer.config.tracker.keyframes)
     found = _locate(localizer, keys, prior, starts)
-    if found.found is not None and len(keys) < len(touches):
-        best = np.argsort(-compare_poses(localizer, touches, found.every).mean(axis=1), kind="stable")
-        judged = _locate(localizer, touches, prior, found.every[best[:MOST_JUDGED]], searches=False)
-        found = found if judged.found is None else judged
-    if found.found is None:
-        return found
-    return replace(found, found=believe(found.found, localizer.object, localizer.config.tolerance))
+    if found is not None and len(keys) < len(touches):
+        poses = list_poses(found)
+        best = np.argsort(-compare_poses(localizer, touches, poses).mean(axis=1), kind="stable")[:MOST_JUDGED]
+        found = _locate(localizer, touches, prior, poses[best], searches=False) or found
+    return None if found is None else believe(found, localizer.object, localizer.config.tolerance)
+
+
+def list_poses(found: Localization) -> Poses:
+    """Return the poses T_base_object (K, 4, 4), metres, of a result, also unlisted ones, the most probable first."""
+    poses = [one.T_sensor_object for one in (*found.hypotheses, *found.unlisted)]
+    return np.asarray(found.touch.T_base_sensor) @ np.stack(poses)
 
 
 def compare_poses(localizer: Localizer, touches: Sequence[Touch], T_base_object: Poses) -> Floats:
@@ -143,15 +134,14 @@ def compare_poses(localizer: Localizer, touches: Sequence[Touch], T_base_object:
 
 def _locate(
     localizer: Localizer, touches: Sequence[Touch], prior: PosePrior | None, starts: Poses, searches: bool = True
-) -> Searched:
+) -> Localization | None:
     T_base_first = np.asarray(touches[0].T_base_sensor)
     seen = None if prior is None else prior.view_from(T_base_first)
     here = invert(T_base_first) @ starts if len(starts) else None
     try:
-        found = localizer.localize(touches, seen, starts=here, searches=searches)
+        return localizer.localize(touches, seen, starts=here, searches=searches)
     except GridError:
-        return Searched(tuple(touches), None)
-    return Searched(tuple(touches), found)
+        return None
 
 
 def choose_telling(localizer: Localizer, touches: Sequence[Touch], known: Poses, most: int) -> list[Touch]:
@@ -178,3 +168,24 @@ def choose_telling(localizer: Localizer, touches: Sequence[Touch], known: Poses,
         apart_m = far_m[np.ix_(left, chosen)].min(axis=1) if chosen else far_m[left].max(axis=1)
         chosen.append(left[int((NATS_PER_M * apart_m - np.log(weights)).argmax())])
     return [touches[k] for k in sorted(chosen)]
+
+
+def measure_motion_m(T_base_first: Floats, T_base_second: Floats, gel_m: Floats, lever_m: float) -> float:
+    """Return the distance that the point `gel_m` (3,), metres, of a sensor moved between two poses (4, 4), metres.
+
+    A rotation counts as the motion at the end of a lever of `lever_m` metres.
+    """
+    T = invert(T_base_first) @ T_base_second
+    shift_m = np.linalg.norm(T[:3, :3] @ gel_m + T[:3, 3] - gel_m)
+    return float(shift_m + lever_m * rotation_angle(T[:3, :3]))
+
+
+def drop_nearest(touches: Sequence[Touch], lever_m: float) -> list[Touch]:
+    """Return touches without one of the two whose sensor poses are nearest to each other: the one with less contact."""
+    gel_m, poses = touches[0].geometry.gel_middle_m, [np.asarray(touch.T_base_sensor) for touch in touches]
+    nearest = min(
+        itertools.combinations(range(len(touches)), 2),
+        key=lambda pair: measure_motion_m(poses[pair[0]], poses[pair[1]], gel_m, lever_m),
+    )
+    less = min(nearest, key=lambda number: touches[number].contact_share)
+    return [touch for number, touch in enumerate(touches) if number != less]

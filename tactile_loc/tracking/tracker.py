@@ -12,7 +12,6 @@ the track, to check it.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +21,9 @@ from tactile_loc.core.geometry.rigid import Poses, require_covariance, require_r
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch, require_depths
 from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict, judge
-from tactile_loc.tracking.key_search import KeySearch, Searched
-from tactile_loc.tracking.key_touches import measure_motion_m
+from tactile_loc.tracking.key_search import KeySearch, list_poses, measure_motion_m
 from tactile_loc.tracking.track_modes import ModeFilter, TrackMode
 from tactile_loc.tracking.tracked_pose import TrackedPose, TrackTrust
 
@@ -149,7 +148,8 @@ class Tracker:
             finger = next((k for k, touch in enumerate(fingers) if touch is not None), self._finger)
         if finger != self._finger:
             self._alike = 0.0
-        moved_m = 0.0 if self._T_base_sensor is None else self._motion_m(self._T_base_sensor, T)
+        before, lever_m = self._T_base_sensor, 1e-3 * self.options.lever_mm
+        moved_m = 0.0 if before is None else measure_motion_m(before, T, self._filter.gel_m, lever_m)
         passed_s = time_s - self._time_s if math.isfinite(self._time_s) else 0.0
         self._time_s, self._T_base_sensor, self._finger = time_s, T, finger
         self._alike *= math.exp(-1e3 * moved_m / self.options.apart_mm)
@@ -205,9 +205,9 @@ class Tracker:
             self._search = self._search.begin(self._list_poses(), self._time_s)
         if self._search.running is None:
             return False
-        self._search, finished = self._search.finish(self._time_s, waits=not self.live)
-        if finished is not None:
-            self._adopt(finished)
+        self._search, found = self._search.finish(self._time_s, waits=not self.live)
+        if found is not None:
+            self._adopt(found, self._search.begun)
         return True
 
     def _check_on(self) -> None:
@@ -221,15 +221,15 @@ class Tracker:
         self._checked_s = min(self._checked_s, self._time_s)
         if self._check.is_due and self._time_s - self._checked_s >= self.options.check_s > 0:
             self._check, self._checked_s = self._check.begin(np.empty((0, 4, 4)), self._time_s), self._time_s
-        self._check, finished = self._check.finish(self._time_s, waits=not self.live)
-        if finished is None:
+        self._check, found = self._check.finish(self._time_s, waits=not self.live)
+        if self._check.running is not None or not self._check.begun:
             return
-        self._check = self._check.restart(())
-        if finished.found is None or finished.found.verdict is not Verdict.CERTAIN:
+        touches, self._check = self._check.begun, self._check.restart(())
+        if found is None or found.verdict is not Verdict.CERTAIN:
             return
-        T, tolerance = finished.every[:1], self.localizer.config.tolerance
-        if not tolerance.find_within(self.localizer.object, T[0], self._list_poses()[:1]).all():
-            self._search = self._search.restart(finished.touches)
+        tolerance, obj = self.localizer.config.tolerance, self.localizer.object
+        if not tolerance.find_within(obj, list_poses(found)[0], self._list_poses()[:1]).all():
+            self._search = self._search.restart(touches)
             self._trust = self._trust.restart(Verdict.AMBIGUOUS, 0.5, self._trust.usual_iou)
 
     def _suspects_slip(self, doubted: bool) -> bool:
@@ -264,16 +264,15 @@ class Tracker:
                 self._modes, self._trust, self._search = modes, stayed.trust, stayed.search
                 self._undoubted, self._doubts = None, 0
 
-    def _adopt(self, finished: Searched) -> None:
-        """Take over the poses that a search found, and trust the first as far as the search does.
+    def _adopt(self, found: Localization, keys: Sequence[Touch]) -> None:
+        """Take over the poses that a search of touches found, and trust the first as far as the search does.
 
         If the modes were doubted, they stay unless the search found a pose that explains its touches clearly better.
         They also stay if it explains them worse than usual, unless the modes do not explain them at all. Then the new
         pose is at most ambiguous, because the object may be another one. The same holds for a pose from one touch.
         """
-        found, keys = finished.found, finished.touches
-        new = [] if found is None else self._filter.find_all(found)
-        if found is None or not new:
+        new = self._filter.find_all(found)
+        if not new:
             return
         (iou,) = self._filter.explain(new[:1], keys)
         unproven = False
@@ -305,10 +304,6 @@ class Tracker:
     def _list_poses(self) -> Poses:
         """Return the modes' poses T_base_object (K, 4, 4), metres."""
         return np.array([mode.known.T_base_object for mode in self._modes]).reshape(-1, 4, 4)
-
-    def _motion_m(self, T_base_first: Any, T_base_second: Any) -> float:
-        """Return the distance the gel moved between sensor poses (4, 4), metres; a rotation counts with `lever_mm`."""
-        return measure_motion_m(T_base_first, T_base_second, self._filter.gel_m, 1e-3 * self.options.lever_mm)
 
     def _require_later(self, time_s: float) -> None:
         if not math.isfinite(time_s) or time_s < self._time_s:

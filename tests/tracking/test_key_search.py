@@ -8,11 +8,11 @@ import pytest
 from track_settings import SETTINGS
 
 import tactile_loc.tracking.key_search as module
-from tactile_loc.core.geometry.rigid import invert, make_translation
+from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.locate.hypotheses import compute_imprint_ious
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.tracking.key_search import KeySearch, choose_telling, search_touches
+from tactile_loc.tracking.key_search import KeySearch, choose_telling, measure_motion_m, search_touches
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +66,8 @@ def test_the_touch_that_rules_out_a_wrong_pose_is_chosen(pin, resting):
 
 def test_all_touches_judge_the_pose_that_the_chosen_ones_find(pin, resting):
     finished = search_touches(pin, resting, None, NONE)
-    assert finished.touches == tuple(resting)
-    assert len(finished.found.best.imprint_ious) == len(resting)
-    off_m = measure_pose_errors(pin.object, finished.found.best.T_sensor_object[None], resting[0].T_sensor_object)
+    assert len(finished.best.imprint_ious) == len(resting)
+    off_m = measure_pose_errors(pin.object, finished.best.T_sensor_object[None], resting[0].T_sensor_object)
     assert off_m[0] < 1e-3
 
 
@@ -76,10 +75,10 @@ def test_a_search_ends_with_the_touches_located_together(pin, touches):
     search = KeySearch(pin).add_new_places(touches[:1])
     assert not search.begin(NONE, 0.0).is_due
     search, finished = finish(search)
-    assert finished.touches == (touches[0],)
+    assert search.begun == (touches[0],)
     whole = pin.localize(touches[0])
-    assert finished.found.verdict is whole.verdict
-    assert np.array_equal(finished.found.best.T_sensor_object, whole.best.T_sensor_object)
+    assert finished.verdict is whole.verdict
+    assert np.array_equal(finished.best.T_sensor_object, whole.best.T_sensor_object)
     assert not search.is_due
     assert search.add_new_places(touches[3:4]).is_due
 
@@ -95,12 +94,12 @@ def test_a_search_also_refines_known_poses_and_those_that_the_search_before_foun
     search = finish(KeySearch(pin).add_new_places(touches[:1]))[0]
     listed, known = search.listed, make_translation([0.0, 0.0, 1e-3]) @ search.listed[:1]
     search, finished = finish(search.add_new_places(touches[3:4]), known)
-    compared = [*finished.found.hypotheses, *finished.found.unlisted]
+    compared = [*finished.hypotheses, *finished.unlisted]
     proposed = np.stack([hypothesis.T_sensor_object_grid for hypothesis in compared])
     starts = invert(touches[0].T_base_sensor) @ np.concatenate([known, listed])
     kept = [np.isclose(proposed, start).all(axis=(1, 2)).any() for start in starts]
     assert sum(kept) > 1  # others are merged with a better pose
-    assert np.allclose(search.listed[0], touches[0].T_base_sensor @ finished.found.best.T_sensor_object)
+    assert np.allclose(search.listed[0], touches[0].T_base_sensor @ finished.best.T_sensor_object)
     assert len(search.restart(touches[5:6]).listed) == 0
 
 
@@ -124,4 +123,12 @@ def test_a_live_track_does_not_wait_for_a_search(pin, touches, monkeypatch):
     assert started.wait(60)
     assert search.finish(10.0, waits=False) == (search, None)
     go_on.set()
-    assert search.finish(10.0, waits=True)[1].touches == (touches[0],)
+    assert search.finish(10.0, waits=True)[1].touch is touches[0]
+
+
+def test_a_rotation_counts_as_the_motion_of_a_lever():
+    turned = make_transform(rotation_about([0, 0, 1], 0.2), [0.0, 0.0, 0.0])
+    assert measure_motion_m(np.eye(4), turned, np.zeros(3), 1e-2) == pytest.approx(0.2 * 1e-2)
+    assert measure_motion_m(np.eye(4), make_translation([3e-3, 0, 4e-3]), np.zeros(3), 1e-2) == pytest.approx(5e-3)
+    gel_m = np.array([0.05, 0.0, 0.0])  # the gel moves, although the origin does not
+    assert measure_motion_m(np.eye(4), turned, gel_m, 0.0) == pytest.approx(2 * 0.05 * np.sin(0.1))
