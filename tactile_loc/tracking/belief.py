@@ -5,8 +5,6 @@ the tenth touch of a slide tells. So two more facts count: by how much the touch
 other poses found, and how far its covariance lets it be from the true pose.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
