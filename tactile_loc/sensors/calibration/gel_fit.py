@@ -64,6 +64,14 @@ class PressedBalls:
         lean = self.slope[:, low] + (at - low) * (self.slope[:, low + 1] - self.slope[:, low])
         return np.asarray(lean / np.sqrt(1 + lean**2))
 
+    def interpolate_slope(self, away_m: Floats, contact_m: float) -> Floats:
+        """Return the slope (N,) at distances (N,), metres, when the contact's radius is `contact_m`, metres."""
+        growing = np.maximum.accumulate(self.contact_m) + 1e-9 * np.arange(len(self.contact_m))
+        at = float(np.interp(contact_m, growing, np.arange(len(growing))))
+        low = min(int(at), len(growing) - 2)
+        profile = self.slope[low] + (at - low) * (self.slope[low + 1] - self.slope[low])
+        return np.interp(away_m, self.away_m, profile, right=0.0)
+
     def find_depth(self, contact_m: float) -> int:
         """Return the index of the depth whose contact has the radius `contact_m`, metres."""
         return int(np.abs(self.contact_m - contact_m).argmin())

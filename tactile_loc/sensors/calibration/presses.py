@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from tactile_loc.sensors.calibration.circles import Circle
 from tactile_loc.sensors.calibration.gel_fit import BallImage, GelFit, fit_gel, label_elastic_ball, press_balls
 from tactile_loc.sensors.calibration.labels import Image, LabelledPresses, PressLabel, label_ball, label_mesh
 from tactile_loc.sensors.calibration.press_table import KINDS, TABLE, UNTOUCHED, PressRow, read_rows
+from tactile_loc.sensors.calibration.reflectance import BallContact, SeenBalls
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import reduce_image
 from tactile_loc.sensors.reading.rectification import Stretch, measure_stretch
@@ -40,7 +42,8 @@ class PressFolder(LabelledPresses):
     `images` have the size of `geometry`. `camera` is the geometry of the images before they were reduced. The circles
     in the table are in pixels of `camera`. If there is a `photo_map`, photos were rectified by it. `stretch` is
     what their imprints show, if it was measured. Marker dots are filled in, in the images and in the background; `gel`
-    has the background with its dots. `fit` is the gel's elasticity, if it is known; the balls' labels follow from it.
+    has the background with its dots. `fit` is the gel's elasticity, if it is known. The balls' labels follow from it,
+    and from their `contacts`, in pixels of `geometry`.
     """
 
     rows: tuple[PressRow, ...]
@@ -52,6 +55,7 @@ class PressFolder(LabelledPresses):
     fit: GelFit | None = None
     photo_map: PhotoMap | None = None
     stretch: Stretch | None = None
+    contacts: Mapping[int, BallContact] = field(default_factory=dict)
     _scenes: dict[tuple[Path, str], Scene] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -69,7 +73,7 @@ class PressFolder(LabelledPresses):
         """Return the label of a press. Raises CalibrationError, which names the row, when the label is impossible."""
         row = self.rows[number]
         try:
-            return self._label_ball(self.read_ball(number)) if row.kind == "ball" else self._label_mesh(row)
+            return self._label_ball(number) if row.kind == "ball" else self._label_mesh(row)
         except TactileLocError as error:
             if str(error).startswith(row.where):
                 raise
@@ -93,7 +97,9 @@ class PressFolder(LabelledPresses):
         fit = None if self.geometry.is_curved else fit_gel(balls, self.background, progress)
         if fit is None or not fit.is_elastic:
             return replace(self, fit=fit)
-        return replace(self, fit=fit, geometry=replace(self.geometry, gel=fit.gel))
+        fit, contacts = SeenBalls(balls, self.background, self.geometry).fit(fit)
+        found = dict(zip(self.list_balls(), contacts, strict=True))
+        return replace(self, fit=fit, geometry=replace(self.geometry, gel=fit.gel), contacts=found)
 
     def measure_stretch(self) -> PressFolder:
         """Return the presses with the stretch of their photos, if there are enough presses of balls."""
@@ -145,13 +151,13 @@ class PressFolder(LabelledPresses):
         photo = {} if self.photo_map is None else {"photo": self.photo_map.record()}
         return {"camera_px": list(self.camera.shape), **photo, **dots, **gel}
 
-    def _label_ball(self, ball: BallImage) -> PressLabel:
-        circle, centre_px = ball.circle, (ball.circle.x_px, ball.circle.y_px)
-        label = label_ball(self.geometry, centre_px, circle.radius_px, ball.ball_m)
+    def _label_ball(self, number: int) -> PressLabel:
+        ball = self.read_ball(number)
+        label = label_ball(self.geometry, (ball.circle.x_px, ball.circle.y_px), ball.circle.radius_px, ball.ball_m)
         if self.fit is None or not self.fit.is_elastic:
             return label
-        contact_m = self.fit.contact * circle.radius_px * ball.pitch_m
-        return label_elastic_ball(self.geometry, centre_px, contact_m, press_balls(self.fit.gel, ball.ball_m))
+        x_px, y_px, contact_m = self.contacts[number]
+        return label_elastic_ball(self.geometry, (x_px, y_px), contact_m, press_balls(self.fit.gel, ball.ball_m))
 
     def _label_mesh(self, row: PressRow) -> PressLabel:
         scene = self._load_scene(row.mesh, row.values.get("units") or "auto")
