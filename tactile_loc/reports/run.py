@@ -20,6 +20,7 @@ from tactile_loc.reports import pictures, scene
 from tactile_loc.reports.distribution import SurfaceDistribution, count_yaws, map_sides, spread_over_surface
 from tactile_loc.reports.page import Page, Section
 from tactile_loc.view.drawn_scene import DrawnScene
+from tactile_loc.view.palette import Palette
 
 ALL = 0.999999  # a sum of probabilities above this value is one, except for rounding
 COLUMNS = ("rank", "prob. (%)", "imprint IoU (%)", "x (mm)", "y (mm)", "z (mm)", "rotation (°)", "about axis")
@@ -27,6 +28,7 @@ SPACING_MM = 4.0  # spacing assumed for a grid without this option
 SPREAD = 0.5  # standard deviation that fills the gaps between grid poses, as a share of the spacing
 LEAST_SPREAD_MM = 0.5
 BEFORE = ("model",)  # stages before the localisation
+VERDICT = "verdict"
 
 
 def make_run_page(path: Path) -> Page:
@@ -43,8 +45,9 @@ def make_result_page(found: Localization) -> Page:
     header = [*COLUMNS, *([] if found.assessment.errors is None else ["error (mm)"])]
     notes, seconds = [*found.object.notes, *list_doubts(found)], found.seconds.get("model")
     truth = found.touch.T_sensor_object is not None
+    colours = {VERDICT: Palette.find_verdict(found.verdict)}
     sections = [
-        Section("summary", "", {"numbers": list(_list_numbers(found)), "notes": notes}),
+        Section("summary", "", {"numbers": list(_list_numbers(found)), "notes": notes, "colours": colours}),
         Section("candidates", "Candidates", {"header": header, "rows": _list_rows(found), "truth": truth}),
         Section("contact", "Contact shapes", _describe_contact(found)),
         Section("distribution", "Distribution", _describe_distribution(found, data)),
@@ -113,26 +116,25 @@ def _write_about(found: Localization) -> str:
 
 def _list_numbers(found: Localization) -> Iterator[tuple[str, str, str]]:
     best = found.best
+    meaning = "; ".join(filter(None, (found.explain(), found.describe_within())))
+    yield VERDICT, found.verdict.value, meaning
+    if found.assessment.next_step:
+        yield "next step", "", found.assessment.next_step
+    yield "probability", format_percent(best.probability), "of the best pose"
+    if (errors := found.assessment.errors) is not None:
+        closest = f"largest displacement; of the nearest grid pose: {format_millimetres(errors.closest_in_grid_m)}"
+        yield "pose error", format_millimetres(errors.best_m), closest
     x, y, z, angle_deg, axis = format_pose(best.T_sensor_object)
     rotated = f"of the object in the sensor's frame, rotated {angle_deg}° about {axis}"
     yield "best pose: x, y, z", f"{x}, {y}, {z} mm", rotated
     if best.T_base_object is not None:
         x, y, z, angle_deg, axis = format_pose(best.T_base_object)
         yield "in the base frame", f"{x}, {y}, {z} mm", f"x, y, z, rotated {angle_deg}° about {axis}"
-    meaning = "; ".join(filter(None, (found.explain(), found.describe_within())))
-    yield "verdict", found.verdict.value, meaning
-    if found.assessment.next_step:
-        yield "next step", "", found.assessment.next_step
     yield "normalised entropy", f"{found.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
     if (listed := found.pose_set) is not None:
         yield listed.title, listed.size, listed.meaning
     explains = "how well the best pose explains the touch, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
-    probability = format_percent(best.probability)
-    yield "probability", probability, "of the best pose"
-    if (errors := found.assessment.errors) is not None:
-        closest = f"largest displacement; of the nearest grid pose: {format_millimetres(errors.closest_in_grid_m)}"
-        yield "pose error", format_millimetres(errors.best_m), closest
 
 
 def _list_rows(found: Localization) -> list[list[str]]:

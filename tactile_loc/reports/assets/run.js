@@ -12,7 +12,7 @@
   // ---- the object on the sensor
   const body = surface(data.mesh);
 
-  const pads = (c) => data.pads.flatMap((one) => pad(c, one));
+  const pads = (c) => data.pads.flatMap((one, k) => pad(c, one, k === 0 ? 1 : 0.3)); // others must not hide the object
 
   function ghost(c) {
     if (!data.truth) return [];

@@ -44,8 +44,8 @@ const solids = (() => {
   }
 
   // A sensor: its gel, the housing around it, and the outline of the contact.
-  const pad = (c, { gel, housing, contact }) => [
-    solid(gel, {}, c.gel), solid(housing, {}, c.housing), lines(contact, "#e03131", 3),
+  const pad = (c, { gel, housing, contact }, opacity = 1) => [
+    solid(gel, {}, c.gel, { opacity }), solid(housing, {}, c.housing, { opacity }), lines(contact, "#e03131", 3),
   ];
 
   return { surface, moved, solid, lines, words, pad, space, PAINTED, LAMP };

@@ -248,6 +248,7 @@ class VisitorPage:
         """List and draw the touches. A result stays until the next one, unless a touch was removed."""
         touches = self.session.touches
         names = [touch.name for touch in touches]
+        self.locate.disabled = not touches
         self.touches.fill("Touches: {}" if touches else "No touch yet.", ", ".join(names))
         self.chosen_touch.options = list_numbered(names) or (NO_TOUCH,)
         self.chosen_touch.value = self.chosen_touch.options[-1]
@@ -283,7 +284,7 @@ class VisitorPage:
         try:
             found = self.session.locate(self._show_progress)
         finally:
-            self.locate.disabled = False
+            self.locate.disabled = not self.session.touches
             self.overlay.clear()
             if self.session.result is not None:
                 self._show_result(self.session.result)

@@ -14,12 +14,6 @@ if TYPE_CHECKING:
 
 PALETTE = Palette()
 DPI = 200
-STYLE = (
-    "<style>.cover{position:fixed;left:0;top:0;bottom:0;right:388px;background:#f7f9fb;display:flex;flex-direction:column;"
-    "align-items:center;justify-content:center;gap:18px;padding:24px;font:17px/1.4 sans-serif;z-index:40}"
-    ".cover>*{max-width:100%;max-height:82%}"
-    "@media(max-width:640px){.cover{right:0;bottom:60%;font-size:13px;padding:8px}}</style>"
-)
 DRAWING = "\n".join(
     [
         '<svg viewBox="0 0 460 300" width="620" font-family="sans-serif" font-size="15" fill="{ink}">',
@@ -51,4 +45,4 @@ class SensorCover:
 
     @staticmethod
     def _cover(inside: str) -> str:
-        return f'{STYLE}<div class="cover">{inside}</div>'
+        return f'<div class="cover">{inside}</div>'
