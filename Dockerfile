@@ -1,4 +1,4 @@
-# tactile-loc with the libraries that it needs without a display. Build and run:
+# tactile-loc without a display. Build and run:
 #
 #     docker build -t tactile-loc .
 #     docker run --rm -v "$PWD:/work" -v tactile-loc-store:/store tactile-loc run --out result
@@ -6,12 +6,12 @@
 # For extras, add --build-arg EXTRAS='[learned,recordings]'. For annexes, add --build-arg ANNEXES='app library'.
 FROM python:3.11-slim-bookworm
 
-# The packages of scripts/system-packages.sh
-RUN apt-get update && apt-get install -y --no-install-recommends \
-        libusb-1.0-0 libegl1 libgl1 libx11-6 libudev1 libidn2-0 libgomp1 libgl1-mesa-dri \
-    && rm -rf /var/lib/apt/lists/*
-
 ARG EXTRAS=""
+# The packages of scripts/system-packages.sh, which open3d and pyrender load. The plain package needs none of them.
+RUN case "${EXTRAS}" in *all*|*icp*|*render*|*dev*) apt-get update && apt-get install -y --no-install-recommends \
+        libusb-1.0-0 libegl1 libgl1 libx11-6 libudev1 libidn2-0 libgomp1 libgl1-mesa-dri \
+    && rm -rf /var/lib/apt/lists/* ;; esac
+
 ARG ANNEXES=""
 COPY pyproject.toml README.md LICENSE constraints.txt /source/
 COPY tactile_loc /source/tactile_loc

@@ -9,6 +9,7 @@ LEARNED, RENDER = "tactile-loc[learned]", "tactile-loc[render]"
 BUILT_IN = [
     ("gelslim", "sensors.presets:GelSlim", "GelSlim with the paper's camera"),
     ("gelsight-mini", "sensors.presets:GelSightMini", "GelSight Mini, nominal"),
+    ("gelsight-r15", "sensors.presets:GelSightR15", "GelSight R1.5, nominal"),
     ("digit", "sensors.presets:Digit", "DIGIT, nominal, with a flat gel"),
     ("digit-curved", "sensors.presets:CurvedDigit", "DIGIT, nominal, with its curved gel"),
     ("file", "sensors.file:FileSensor", "any sensor described by a TOML file"),

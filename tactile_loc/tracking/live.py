@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,8 @@ LIVE: Keys = {  # one line in the file of a live run, in SI units
     "T_sensor_object": Key("4 x 4 numbers or null", "the most probable pose, m"),
     "seconds": Key("number", "time to read and locate it"),
     "dropped": Key("integer", "frames dropped so far, because newer ones had come"),
+    "exposure": Key("number or null", "the camera's fixed exposure, in 0.1 ms on Linux; null if automatic or unknown"),
+    "white_balance_k": Key("number or null", "the camera's fixed white balance, kelvin; null if automatic or unknown"),
 }
 
 
@@ -55,7 +57,9 @@ class LiveResult:
         """Return the frame as one line in the file of a live run, as JSON values."""
         frame, located = self.frame, self.located
         name = show_name(frame.name)
-        return write_keys(LIVE, located, number=frame.number, name=name, time_s=frame.time_s, dropped=self.dropped)
+        settings = asdict(frame.settings)
+        known = {"number": frame.number, "name": name, "time_s": frame.time_s, "dropped": self.dropped}
+        return write_keys(LIVE, located, **known, **settings)
 
 
 @dataclass(eq=False)

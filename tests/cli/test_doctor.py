@@ -218,7 +218,6 @@ def test_photos_need_a_sensor_and_a_sensor_needs_photos(cli, tmp_path):
 
 @pytest.mark.slow
 def test_a_sensor_is_checked_and_its_page_is_written(cli, tmp_path):
-    pytest.importorskip("torch")
     from press_sets import ball_set, write_image
 
     few = ("--option", "steps=400", "--option", "hidden=16", "--store", tmp_path / "store")

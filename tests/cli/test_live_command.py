@@ -87,8 +87,8 @@ def test_a_vanished_folder_is_one_sentence_and_keeps_the_lines(cli, touches, mon
 
 def test_a_disconnected_camera_is_one_sentence(cli, touches, monkeypatch):
     reads = iter([(True, np.zeros((200, 200, 3), np.uint8)), (False, None)])
-    camera = SimpleNamespace(isOpened=lambda: True, read=lambda: next(reads), release=lambda: None)
-    monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(VideoCapture=lambda device: camera))
+    camera = SimpleNamespace(isOpened=lambda: True, read=lambda: next(reads), release=lambda: None, get=lambda _: 0.0)
+    monkeypatch.setattr("cv2.VideoCapture", lambda device: camera)
     done = cli("live", "--camera", "0", *LOCATED, "--no-view", "--out", "found.jsonl")
     assert_refused(done, "camera 0", "1")
     assert records("found.jsonl")[0]["verdict"] is None

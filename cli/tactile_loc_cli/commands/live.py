@@ -7,7 +7,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -38,10 +38,6 @@ Source = Annotated[
         metavar="FOLDER|VIDEO", show_default=False, help="A folder that receives images or contact shapes, or a video."
     ),
 ]
-CameraOption = Annotated[
-    str | None,
-    declare("--camera N", "Use a camera: its number, from 0, its device, such as /dev/video2, or its serial number."),
-]
 Once = Annotated[
     bool, declare("--once", "Locate every frame already in the folder or video, then exit; not with --camera.")
 ]
@@ -64,11 +60,29 @@ View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and po
 Given = Annotated[RunOptions, options.Takes(*options.OF_FRAMES, "zero", object=options.TOUCHED)]
 
 
+@dataclass(frozen=True)
+class OfCamera:
+    """The camera, and its settings to be fixed."""
+
+    camera: Annotated[
+        str | None,
+        declare(
+            "--camera N", "Use a camera: its number, from 0, its device, such as /dev/video2, or its serial number."
+        ),
+    ] = None
+    exposure: Annotated[
+        float | None, declare("--exposure N", "Fix the camera's exposure, in 0.1 ms on Linux. Default: as it is.")
+    ] = None
+    white_balance: Annotated[
+        float | None, declare("--white-balance K", "Fix the camera's white balance, kelvin. Default: as it is.")
+    ] = None
+
+
 def live(
     source: Source = None,
-    camera: CameraOption = None,
     once: Once = False,
     *,
+    chosen: OfCamera,
     given: Given,
     track: Track = False,
     poses: options.SensorPoses = None,
@@ -84,12 +98,13 @@ def live(
     JSON. If frames arrive faster than they are located, only the newest is used. The command ends with the video or
     with Ctrl-C.
     """
+    from tactile_loc.io.streams.cameras import CameraSettings
     from tactile_loc.io.streams.frame_sources import open_source
     from tactile_loc.tracking.live import LiveLocator, LiveSummary
     from tactile_loc.tracking.tracker import Tracker
 
     settings = options.make_config(given)
-    opened = open_source(source, camera, once)
+    opened = open_source(source, chosen.camera, once, CameraSettings(chosen.exposure, chosen.white_balance))
     options.require_object(settings, opened.about)
     _require_outputs(out, rerun)
     sensor_track = _read_poses(poses, track)

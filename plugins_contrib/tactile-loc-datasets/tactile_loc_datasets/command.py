@@ -44,16 +44,37 @@ Out = Annotated[Path, declare("--out FILE.parquet", "Table with the results. Def
 Given = Annotated[
     RunOptions,
     Takes(
-        "object", "units", "symmetry", "touch_unit", "touch_kind", "press_depth", "sensor", "zero", "grid", "renderer",
-        "encoder", "matcher", "refiner", "option", "config", "seed",
+        "object",
+        "units",
+        "symmetry",
+        "touch_unit",
+        "touch_kind",
+        "press_depth",
+        "sensor",
+        "zero",
+        "grid",
+        "renderer",
+        "encoder",
+        "matcher",
+        "refiner",
+        "option",
+        "config",
+        "seed",
     ),
-]  # fmt: skip
+]
 
 
 def replay_dataset(
-    dataset: Source, *, given: Given, episode: Number = None, column: Column = None, track: Track = False,
-    poses: Poses = None, out: Out = Path("located.parquet"), store: Store = None,
-) -> dict[str, Any]:  # fmt: skip
+    dataset: Source,
+    *,
+    given: Given,
+    episode: Number = None,
+    column: Column = None,
+    track: Track = False,
+    poses: Poses = None,
+    out: Out = Path("located.parquet"),
+    store: Store = None,
+) -> dict[str, Any]:
     """Locate an object in the tactile images of a data set.
 
     The table has all columns of the data set, and object_pose (x, y, z in metres, and qx, qy, qz, qw, in the sensor's

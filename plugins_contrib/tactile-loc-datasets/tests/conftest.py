@@ -35,9 +35,11 @@ def write_video(path: Path, images: Sequence[np.ndarray]) -> None:
 def make_rows(episode: int) -> dict[str, list]:
     numbers = list(range(ROWS))
     return {
-        "timestamp": [n / HZ for n in numbers], "frame_index": numbers, "episode_index": [episode] * ROWS,
+        "timestamp": [n / HZ for n in numbers],
+        "frame_index": numbers,
+        "episode_index": [episode] * ROWS,
         "index": [ROWS * episode + n for n in numbers],
-    }  # fmt: skip
+    }
 
 
 def write(path: Path, rows: dict[str, list]) -> None:
@@ -60,9 +62,11 @@ def version_2(tmp_path: Path) -> Path:
         write(tmp_path / f"data/chunk-000/episode_{episode:06d}.parquet", make_rows(episode))
         write_video(tmp_path / f"videos/chunk-000/{COLUMN}/episode_{episode:06d}.mp4", make_images(episode))
     return write_info(
-        tmp_path, "v2.1", data_path="data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+        tmp_path,
+        "v2.1",
+        data_path="data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
         video_path="videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
@@ -78,9 +82,11 @@ def version_3(tmp_path: Path) -> Path:
     begins = {f"videos/{COLUMN}/from_timestamp": [0.0, ROWS / HZ]}
     write(tmp_path / "meta/episodes/chunk-000/file-000.parquet", {"episode_index": [0, 1], **places, **begins})
     return write_info(
-        tmp_path, "v3.0", data_path="data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        tmp_path,
+        "v3.0",
+        data_path="data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         video_path="videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.runtime.errors import MissingLibraryError, SourceError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.images import read_colour_image
-from tactile_loc.io.streams.cameras import find_device
+from tactile_loc.io.streams.cameras import NOT_FIXED, CameraSettings, find_device
 from tactile_loc.io.streams.videos import TO_READ, read_video, read_video_facts
 from tactile_loc.io.touches import list_touches, read_contents, read_touch, touch_from_image
 from tactile_loc.slots.sensor import SensorModel
@@ -37,7 +37,7 @@ class SourceFrame:
     """One frame: an `image` (H, W, 3) uint8, or a file at `path`, or the `problem` that makes the frame unusable.
 
     `number` counts all frames of the source from 0, including dropped frames. `time_s` is the time since 1970, or since
-    the beginning of a video.
+    the beginning of a video. `settings` are those of the camera, if it is one.
     """
 
     number: int
@@ -46,6 +46,7 @@ class SourceFrame:
     image: NDArray[np.uint8] | None = field(default=None, repr=False)
     path: Path | None = None
     problem: TactileLocError | None = None
+    settings: CameraSettings = NOT_FIXED
 
     def read_touch(
         self, sensor: SensorModel, unit: str | None = None, press_depth_m: float | None = None, kind: str | None = None
@@ -126,15 +127,27 @@ class _Followed(FrameSource):
 
 
 class Camera(_Followed):
-    """A camera that OpenCV opens, given as in `find_device`. It yields the newest frame each time."""
+    """A camera that OpenCV opens, given as in `find_device`, with `settings` to be fixed.
 
-    def __init__(self, device: str) -> None:
+    It yields the newest frame each time.
+    """
+
+    def __init__(self, device: str, settings: CameraSettings = NOT_FIXED) -> None:
         super().__init__(f"camera {device}")
-        self.device = device
+        self.device, self.settings = device, settings
 
     def read_frames(self) -> Frames:
-        """Yield the newest frame each time. Raises SourceError when the camera is missing or lost."""
-        return self._follow(self._grab(self._open()))
+        """Yield the newest frame each time.
+
+        Raises SourceError when the camera is missing or lost, or does not take a setting.
+        """
+        opened = self._open()
+        try:
+            settings = self.settings.fix(opened, self.about)
+        except SourceError:
+            opened.release()
+            raise
+        return self._follow(self._grab(opened, settings))
 
     def _open(self) -> Any:
         try:
@@ -153,12 +166,12 @@ class Camera(_Followed):
             )
         return found
 
-    def _grab(self, opened: Any) -> Iterator[SourceFrame]:
+    def _grab(self, opened: Any, settings: CameraSettings) -> Iterator[SourceFrame]:
         number = 0
         try:
             while (answer := opened.read())[0]:
                 image = np.ascontiguousarray(answer[1][..., ::-1], np.uint8)
-                yield SourceFrame(number, time.time(), f"frame-{number:06d}", image)
+                yield SourceFrame(number, time.time(), f"frame-{number:06d}", image, settings=settings)
                 number += 1
         finally:
             opened.release()
@@ -277,13 +290,17 @@ def _read_time_ns(path: Path) -> int:
         return 0
 
 
-def open_source(path: Path | None, camera: str | None, every: bool) -> FrameSource:
-    """Return the source for a camera, or for a folder of images or a video at `path`.
+def open_source(
+    path: Path | None, camera: str | None, every: bool, settings: CameraSettings = NOT_FIXED
+) -> FrameSource:
+    """Return the source for a camera with `settings`, or for a folder of images or a video at `path`.
 
     The source yields `every` frame, or the newest frame each time. Raises SourceError when `path` and `camera` are both
-    given or both missing, when `path` does not exist, or when `every` is set for a camera.
+    given or both missing, when `path` does not exist, when `every` is set for a camera, or `settings` without one.
     """
     if path is not None and camera is None:
+        if settings != NOT_FIXED:
+            raise SourceError("exposure and white balance need `camera`; leave them out for a folder or a video")
         if not os.path.exists(path):  # unlike `Path.exists`, for names that no file can have, too
             raise SourceError(f"there is no file or folder {path}; give a folder of images, or a video")
         return ImageFolder(path, every) if path.is_dir() else Video(path, every)
@@ -291,7 +308,7 @@ def open_source(path: Path | None, camera: str | None, every: bool) -> FrameSour
         raise SourceError("give one source of images: `camera` with its number, a folder, or a video")
     if every:
         raise SourceError("`once` needs a folder or a video; leave it out with `camera`")
-    return Camera(camera)
+    return Camera(camera, settings)
 
 
 class FrameTaker:

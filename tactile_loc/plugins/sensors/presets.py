@@ -74,6 +74,16 @@ class GelSightMini(Preset):
     gel_thickness_m = 4.25e-3
 
 
+class GelSightR15(Preset):
+    """GelSight R1.5, nominal: orthographic, 240 x 320 px of 0.0877 mm (21.0 x 28.1 mm), maximal depth 1 mm.
+
+    Size and scale are those of `GELSIGHT_R15_CFG` in Isaac Lab. The maximal depth is nominal. No thickness of the gel
+    was found, so an elastic gel is 4 mm thick by default.
+    """
+
+    native = make_orthographic(240, 320, 0.0877e-3, 1e-3)
+
+
 class Digit(Preset):
     """DIGIT, nominal: orthographic, 240 x 320 px of 0.063 mm (15.1 x 20.2 mm), maximal depth 1 mm.
 

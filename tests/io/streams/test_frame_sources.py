@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from PIL import Image
 
 from tactile_loc.core.runtime.errors import MissingLibraryError, SourceError, TouchError
 from tactile_loc.io.streams import frame_sources
+from tactile_loc.io.streams.cameras import CameraSettings
 from tactile_loc.io.streams.frame_sources import Camera, FrameTaker, ImageFolder, SourceFrame, Video, open_source
 from tactile_loc.io.streams.videos import VideoFacts
 
@@ -177,11 +179,22 @@ def test_a_file_that_is_not_a_video_gives_an_error(tmp_path):
         list(Video(tmp_path / "film.mp4", every=True).read_frames())
 
 
+# OpenCV's numbers of a camera's properties
+PROPERTIES = {
+    "CAP_PROP_EXPOSURE": 15,
+    "CAP_PROP_AUTO_EXPOSURE": 21,
+    "CAP_PROP_AUTO_WB": 44,
+    "CAP_PROP_WB_TEMPERATURE": 45,
+}
+
+
 class FakeCapture:
     """A camera of OpenCV that gives some images, in BGR, up to 1000 a second, and is then unplugged."""
 
     asked: object = None
     opens, images, released = True, 3, 0
+    properties: ClassVar[dict[int, float]] = {}
+    least_exposure = 1.0
 
     def __init__(self, device: object) -> None:
         type(self).asked, self.left = device, self.images
@@ -194,14 +207,22 @@ class FakeCapture:
         time.sleep(0.001)
         return (True, picture((10, 20, 30))) if self.left >= 0 else (False, None)
 
+    def get(self, name: int) -> float:
+        return self.properties.get(name, 0.0)
+
+    def set(self, name: int, value: float) -> bool:
+        least = self.least_exposure if name == PROPERTIES["CAP_PROP_EXPOSURE"] else -np.inf
+        self.properties[name] = max(value, least)
+        return True
+
     def release(self) -> None:
         type(self).released += 1
 
 
 @pytest.fixture
 def capture(monkeypatch) -> type[FakeCapture]:
-    kind = type("Capture", (FakeCapture,), {})
-    monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(VideoCapture=kind))
+    kind = type("Capture", (FakeCapture,), {"properties": {}})
+    monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(VideoCapture=kind, **PROPERTIES))
     return kind
 
 
@@ -215,6 +236,38 @@ def test_a_camera_gives_rgb_frames_and_an_error_when_it_is_unplugged(capture):
     np.testing.assert_array_equal(found[-1].image, picture((30, 20, 10)))
     until_it_fails(Camera("0").read_frames())
     assert capture.asked == 0
+
+
+AUTOMATIC = {PROPERTIES["CAP_PROP_AUTO_EXPOSURE"]: 3.0, PROPERTIES["CAP_PROP_AUTO_WB"]: 1.0}
+
+
+def test_the_numbers_of_properties_are_those_of_opencv():
+    cv2 = pytest.importorskip("cv2")
+    assert {name: getattr(cv2, name) for name in PROPERTIES} == PROPERTIES
+
+
+def test_exposure_and_white_balance_are_fixed_and_recorded(capture, caplog):
+    capture.properties |= AUTOMATIC
+    found, _ = until_it_fails(Camera("0", CameraSettings(150, 4600)).read_frames())
+    assert {frame.settings for frame in found} == {CameraSettings(150, 4600)}
+    assert capture.properties == dict(zip(PROPERTIES.values(), (150, 1, 0, 4600), strict=True))
+    assert not caplog.records
+
+
+def test_automatic_settings_are_warned_of(capture, caplog):
+    capture.properties |= AUTOMATIC | {PROPERTIES["CAP_PROP_EXPOSURE"]: 156.0}
+    found, _ = until_it_fails(Camera("0", CameraSettings(white_balance_k=4600)).read_frames())
+    assert found[0].settings == CameraSettings(None, 4600)
+    (record,) = caplog.records
+    assert not missing(record.getMessage(), "camera 0", "exposure")
+
+
+def test_an_exposure_that_the_camera_does_not_take_is_refused(capture):
+    with pytest.raises(SourceError, match=naming("camera 0", "0.5", "1")):
+        Camera("0", CameraSettings(0.5)).read_frames()
+    assert capture.released == 1
+    with pytest.raises(SourceError, match="`camera`"):
+        open_source(Path(), None, False, CameraSettings(150))
 
 
 def test_a_missing_camera_or_library_gives_an_error_at_once(capture, monkeypatch):

@@ -2,10 +2,16 @@ import numpy as np
 import pytest
 
 from tactile_loc.plugin import SensorError, TouchError, registry
-from tactile_loc.plugins.sensors.presets import CurvedDigit, Digit, GelSightMini, GelSlim, Preset
+from tactile_loc.plugins.sensors.presets import CurvedDigit, Digit, GelSightMini, GelSightR15, GelSlim, Preset
 
 MM = 1e-3
-NAMES = {"gelslim": GelSlim, "gelsight-mini": GelSightMini, "digit": Digit, "digit-curved": CurvedDigit}
+NAMES = {
+    "gelslim": GelSlim,
+    "gelsight-mini": GelSightMini,
+    "gelsight-r15": GelSightR15,
+    "digit": Digit,
+    "digit-curved": CurvedDigit,
+}
 ALL = pytest.mark.parametrize("sensor", [kind() for kind in NAMES.values()], ids=list(NAMES))
 
 
@@ -28,7 +34,8 @@ def test_gelslim_has_the_numbers_of_the_paper() -> None:
 def test_presets_have_their_nominal_fields_of_view() -> None:
     assert GelSightMini().geometry.shape == (240, 320)
     assert field_mm(GelSightMini()) == pytest.approx((320 * 0.0634, 240 * 0.0634))
-    assert Digit().geometry.shape == (320, 240)
+    assert GelSightR15().geometry.shape == Digit().geometry.shape == (320, 240)
+    assert field_mm(GelSightR15()) == pytest.approx((240 * 0.0877, 320 * 0.0877))
     assert field_mm(Digit()) == pytest.approx((15.1, 20.2), abs=0.05)
     assert GelSightMini().geometry.max_depth_m == Digit().geometry.max_depth_m == 1 * MM
 
@@ -87,7 +94,7 @@ def test_images_are_refused(sensor: Preset) -> None:
             sensor.contact_shape(np.zeros(shape, np.uint8))
 
 
-THICKNESSES_MM = {"gelslim": 4.0, "gelsight-mini": 4.25, "digit": 4.6, "digit-curved": 4.6}
+THICKNESSES_MM = {"gelslim": 4.0, "gelsight-mini": 4.25, "gelsight-r15": 4.0, "digit": 4.6, "digit-curved": 4.6}
 
 
 @pytest.mark.parametrize("name", NAMES)

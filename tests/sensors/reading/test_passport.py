@@ -12,7 +12,6 @@ from tactile_loc.core.runtime.errors import CalibrationError, TouchError
 from tactile_loc.sensors.calibration.folder import CHECKED, Calibration, read_calibration
 from tactile_loc.sensors.reading.passport import CHECKS, examine_photos
 
-pytest.importorskip("torch")
 BALLS, NEW = ball_set(20, px=80), ball_set(9, px=80, seed=7)
 PHOTOS = list(NEW.images)
 GEL = BALLS.background.astype(float)
