@@ -34,7 +34,8 @@ from tactile_loc.core.runtime.errors import ConfigError, TactileLocError
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.io.config import RunConfig
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 

@@ -42,8 +42,9 @@ from tactile_loc.core.sensing.noise import NOISE, TouchNoise
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Agreement, Localization
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.store.store import StageStore
 
 WITHIN_MM = (0.5, 1.0)

@@ -21,8 +21,9 @@ from asked import make_parser, open_asked
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc import PosePosterior, StageStore
-from tactile_loc.locate.localizer import Localizer, compute_posterior_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability.temperature import SHARED
+from tactile_loc.locate.several_touches import compute_posterior_together
 from tactile_loc.plugin import GridError
 from tactile_loc.plugin.helpers import invert
 

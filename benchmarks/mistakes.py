@@ -34,10 +34,11 @@ from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.core.runtime.errors import TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.io.sensor_files import write_sensor_file
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.doubts import list_doubts
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.store.store import StageStore
 
 OUTCOMES = ("refused", "doubted", "right", "wrong")

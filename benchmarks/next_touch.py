@@ -53,9 +53,10 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.recall.evaluation import is_determined
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.approach_files import Approach
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.planning.approaches import draw_approaches_to_modes
 from tactile_loc.planning.next_touch import choose_next_touch
 from tactile_loc.store.store import StageStore

@@ -50,12 +50,13 @@ from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.hypotheses import compute_nats
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability.conformal import ELSEWHERE, Ranking
 from tactile_loc.locate.probability.evidence import FEATURES, Question, gather_evidence
 from tactile_loc.locate.probability.outcome_model import FILE, FIT_FEATURES, VERSION, Trees, share_outcome
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import judge
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.store import StageStore
 

@@ -31,7 +31,8 @@ from tactile_loc.core.sensing.noise import GelPixels, TouchNoise
 from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.simulate.contact_poses import draw_contact_poses
 from tactile_loc.simulate.touch_simulation import PressNoise
 from tactile_loc.slots.registry import registry

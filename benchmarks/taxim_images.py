@@ -41,7 +41,8 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.images import write_image
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
 from tactile_loc.sensors.calibration.labelling import label_presses
 from tactile_loc.sensors.calibration.press_table import TABLE

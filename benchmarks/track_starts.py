@@ -46,9 +46,10 @@ from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.hypotheses import compare_refined
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.store.store import StageStore
 from tactile_loc.tracking.key_search import measure_motion_m
 from tactile_loc.tracking.tracker import Tracker

@@ -29,7 +29,8 @@ STAGES = {  # functions that belong to a stage, with all that they call
 
 def locate(name: str, touches: int, seconds: float) -> None:
     """Locate simulated touches of an object for some time, after everything is loaded."""
-    from tactile_loc.locate.localizer import Localizer, localize_together
+    from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.locate.several_touches import localize_together
 
     localizer = Localizer.create(name)
     examples = [localizer.simulate_together(touches, seed=seed) for seed in range(20)]

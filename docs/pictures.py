@@ -23,8 +23,9 @@ from tactile_loc.core.runtime.formatting import format_millimetres, format_perce
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.planning.approaches import draw_approaches
 from tactile_loc.planning.next_touch import choose_next_touch
 from tactile_loc.slots.registry import registry

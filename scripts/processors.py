@@ -94,7 +94,7 @@ def print_answers() -> None:
     """
     from tactile_loc import Localizer
     from tactile_loc.core.poses.metric import PoseMetric
-    from tactile_loc.locate.localizer import localize_together
+    from tactile_loc.locate.several_touches import localize_together
 
     found = {}
     with tempfile.TemporaryDirectory() as store:

@@ -71,7 +71,6 @@ if TYPE_CHECKING:
     from tactile_loc.locate.identify import KnownObject as KnownObject
     from tactile_loc.locate.identify import identify as identify
     from tactile_loc.locate.localizer import Localizer as Localizer
-    from tactile_loc.locate.localizer import localize_together as localize_together
     from tactile_loc.locate.probability.null_evidence import NullEvidence as NullEvidence
     from tactile_loc.locate.probability.temperature import TemperatureScaling as TemperatureScaling
     from tactile_loc.locate.result.freedom import Freedom as Freedom
@@ -79,6 +78,7 @@ if TYPE_CHECKING:
     from tactile_loc.locate.result.localization import Localization as Localization
     from tactile_loc.locate.result.located_frame import LocatedFrame as LocatedFrame
     from tactile_loc.locate.result.verdict import Verdict as Verdict
+    from tactile_loc.locate.several_touches import localize_together as localize_together
     from tactile_loc.locate.touch_files import read_observations as read_observations
     from tactile_loc.planning.approaches import draw_approaches as draw_approaches
     from tactile_loc.planning.approaches import draw_approaches_to_modes as draw_approaches_to_modes

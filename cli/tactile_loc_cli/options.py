@@ -30,8 +30,9 @@ from tactile_loc_cli.console import complain, is_shown, make_progress
 
 if TYPE_CHECKING:
     from tactile_loc.core.objects.mesh import ObjectModel
+    from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.config import RunConfig
-    from tactile_loc.locate.localizer import Localizer, Observation
+    from tactile_loc.locate.localizer import Localizer
 
 logger = logging.getLogger(__name__)
 
@@ -364,7 +365,7 @@ def open_localizer(config: RunConfig, store: Path | None, obj: ObjectModel | Non
     return localizer
 
 
-def read_touches(localizer: Localizer, path: Path) -> list[Observation]:
+def read_touches(localizer: Localizer, path: Path) -> list[tuple[Localizer, Touch]]:
     """Read one touch file or a list of touches, each with its localizer. Raises TactileLocError for bad input."""
     from tactile_loc.locate.touch_files import is_list, read_observations
 

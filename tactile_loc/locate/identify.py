@@ -25,10 +25,11 @@ from tactile_loc.core.runtime.errors import ObjectError, StoreError, TactileLocE
 from tactile_loc.core.sensing.scene import compute_full_evidence
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability.null_evidence import NullEvidence
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import MOSTLY_ELSEWHERE, Outcome, Verdict, judge
+from tactile_loc.locate.several_touches import localize_together
 
 Float64 = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from tactile_loc.io.config import SlotConfig, find_sensor_kind
 from tactile_loc.io.mount_files import Mount
 from tactile_loc.io.touch_lists import ListedTouch, read_touch_list
 from tactile_loc.io.touches import TOUCH_SUFFIXES, TRUE_POSES, list_touches
-from tactile_loc.locate.localizer import Localizer, Observation
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Hypothesis, Localization
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.store.files import write_text
@@ -165,7 +165,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[dict[str, str]]
     return write_text(path, text.getvalue())
 
 
-def read_observations(localizer: Localizer, path: Path) -> list[Observation]:
+def read_observations(localizer: Localizer, path: Path) -> list[tuple[Localizer, Touch]]:
     """Read every touch of a list, each with the localizer of its sensor. Raises TactileLocError for bad input."""
     listed = read_touch_list(path)
     localizers = match_localizers(localizer, listed)

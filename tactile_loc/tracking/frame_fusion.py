@@ -11,10 +11,10 @@ from tactile_loc.core.geometry.lie import rotate_covariance
 from tactile_loc.core.geometry.rigid import invert
 from tactile_loc.core.runtime.errors import FrameError, NoContactError, RecordingError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.localizer import localize_together
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.tracking.key_search import KeySearch, choose_telling
 from tactile_loc.tracking.replay import ReplayedFrame, ReplayFrame, ReplaySource
 from tactile_loc.tracking.tracker import Tracker

@@ -16,10 +16,11 @@ from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.touches import write_touch
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.locate.sources import scoring
 from tactile_loc.locate.sources.scoring import FEWEST_MATCHERS
 from tactile_loc.slots.component import Capabilities

@@ -12,9 +12,10 @@ from message_helpers import naming
 from tactile_loc import HypothesisOptions
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.io.config import SlotConfig
-from tactile_loc.locate.localizer import Localizer, compute_posterior_together, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.outliers import require_within_reach
 from tactile_loc.locate.result.hypothesis import RefinedBy
+from tactile_loc.locate.several_touches import compute_posterior_together, localize_together
 from tactile_loc.plugin import ConfigError, GridError, RefinedPose, Refiner, TouchError, registry
 from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about
 from tactile_loc.plugins.refiners.icp import IcpRefiner

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.core.geometry.rigid import invert, make_transform, rotation_about, transform_points
-from tactile_loc.locate.localizer import localize_together
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.view.drawn_scene import DEVIATIONS, GEL_M, DrawnScene, DrawnSensor, Ellipsoid, move_triangles
 
 T_BASE_OBJECT = make_transform(rotation_about([1, 2, 3], 0.8), [0.4, -0.1, 0.2])

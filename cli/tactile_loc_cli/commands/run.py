@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.scene import Scene
     from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.config import RunConfig
-    from tactile_loc.locate.localizer import Localizer, Observation
+    from tactile_loc.locate.localizer import Localizer
     from tactile_loc.locate.result.localization import Localization
     from tactile_loc.locate.touch_files import LocatedFile
 
@@ -91,7 +91,7 @@ def _locate_together(
 ) -> dict[str, Any]:
     """Locate the object from one touch or from a list of touches; show, write and return the result."""
     from tactile_loc.io.prior_files import read_prior
-    from tactile_loc.locate.localizer import localize_together
+    from tactile_loc.locate.several_touches import localize_together
 
     observations = _read_observations(localizer)
     drawing = import_ahead("matplotlib.backends.backend_agg", "matplotlib.figure")
@@ -132,7 +132,7 @@ def _require_none(prior: Path | None, rerun: Path | None) -> None:
             raise ConfigError(f"{flag} needs a single result; leave it out with a folder of touches, or give one touch")
 
 
-def _read_observations(localizer: Localizer) -> list[Observation]:
+def _read_observations(localizer: Localizer) -> list[tuple[Localizer, Touch]]:
     """Return the given touches, or simulated touches of the object at rest, each with its localizer."""
     asked = localizer.config.touch
     if asked.path is not None:
@@ -151,7 +151,7 @@ def _simulate(localizer: Localizer) -> list[Touch]:
 
 
 def _report(
-    observations: list[Observation],
+    observations: list[tuple[Localizer, Touch]],
     localization: Localization,
     seconds: dict[str, float],
     out: Path,

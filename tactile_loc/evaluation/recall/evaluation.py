@@ -19,12 +19,13 @@ from tactile_loc.evaluation.protocol import measure_in_shards
 from tactile_loc.evaluation.recall.examples import ExampleSource, TouchedExample
 from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.evaluation.table import ExampleTable, name_errors
-from tactile_loc.locate.localizer import Localizer, Observation, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability.outcome_model import load_outcome_model
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.localization import Hypothesis, Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import REFUSED
+from tactile_loc.locate.several_touches import Observation, localize_together
 from tactile_loc.locate.sources.source import STAGE_VERSIONS
 from tactile_loc.store.keys import StageKey
 

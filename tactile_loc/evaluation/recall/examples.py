@@ -19,7 +19,8 @@ from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, read_image
 from tactile_loc.io.touch_lists import Example, read_labelled_touches
-from tactile_loc.locate.localizer import Localizer, Observation
+from tactile_loc.locate.localizer import Localizer
+from tactile_loc.locate.several_touches import Observation
 from tactile_loc.locate.touch_files import match_localizers, read_listed_touch
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_arrays

@@ -8,7 +8,7 @@ import trimesh
 from message_helpers import naming
 
 from tactile_loc import PoseGrid, PoseMetric, PosteriorPrior, StageStore
-from tactile_loc.locate.localizer import Localizer, compute_posterior_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability import temperature as module
 from tactile_loc.locate.probability.temperature import (
     SHARED,
@@ -17,6 +17,7 @@ from tactile_loc.locate.probability.temperature import (
     TemperatureScaling,
     fit_temperature_scaling,
 )
+from tactile_loc.locate.several_touches import compute_posterior_together
 from tactile_loc.plugin import ConfigError, GridError
 from tactile_loc.plugin.helpers import make_transform
 

@@ -15,11 +15,12 @@ from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.locate.hypotheses import DOUBT
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.pipeline import is_unexpected
 from tactile_loc.locate.result.doubts import list_doubts
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.locate.sources.place_search import choose_expected, draw_expected
 from tactile_loc.locate.sources.whole_object import EXPECTED_MODES, FIRST, add_expected_modes, search_together
 from tactile_loc.plugin.helpers import bring_to_contact

@@ -19,8 +19,9 @@ from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig, SlotConfig
-from tactile_loc.locate.localizer import Localizer, localize_together
+from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.verdict import Verdict
+from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.locate.sources import whole_object as search_module
 from tactile_loc.locate.sources.place_search import PlaceSearch, find_highest
 from tactile_loc.locate.sources.whole_object import search_together
