@@ -20,8 +20,7 @@ import numpy as np
 from asked import make_parser, open_asked
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc import PosePosterior, StageStore
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc import Localizer, PosePosterior, StageStore
 from tactile_loc.locate.probability.temperature import SHARED
 from tactile_loc.locate.several_touches import compute_posterior_together
 from tactile_loc.plugin import GridError

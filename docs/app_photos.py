@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tactile_loc_app.session import LIST, Session
 
-from tactile_loc import Localizer, SensorGeometry
+from tactile_loc import Localizer, SensorGeometry, write_sensor_file
 from tactile_loc.io.images import encode_png
-from tactile_loc.io.sensor_files import write_sensor_file
 from tactile_loc.io.touch_lists import write_touch_list
 from tactile_loc.sensors.optics.lamps import OPTICS, Optics
 from tactile_loc.sensors.optics.shading import render_background, render_images

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tactile_loc import EstimatorRecipe, SensorGeometry
-from tactile_loc.io.sensor_files import write_sensor_file
+from tactile_loc import EstimatorRecipe, SensorGeometry, write_sensor_file
 from tactile_loc.sensors.calibration.labels import LabelledPresses, PressLabel, label_ball
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images

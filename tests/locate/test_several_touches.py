@@ -9,10 +9,9 @@ import pytest
 from locate_helpers import locate_together, measure_errors_mm
 from message_helpers import naming
 
-from tactile_loc import HypothesisOptions
+from tactile_loc import HypothesisOptions, Localizer
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
 from tactile_loc.io.config import SlotConfig
-from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.outliers import require_within_reach
 from tactile_loc.locate.result.hypothesis import RefinedBy
 from tactile_loc.locate.several_touches import compute_posterior_together, localize_together

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from message_helpers import naming
 
-from tactile_loc import Localizer, write_touch
+from tactile_loc import Localizer, write_sensor_file, write_touch
 from tactile_loc.io.config import SlotConfig
-from tactile_loc.io.sensor_files import write_sensor_file
 from tactile_loc.io.touch_lists import ListedTouch
 from tactile_loc.locate.touch_files import (
     COLUMNS,

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tactile_loc.io.config import RunConfig
-from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.store.store import StageStore
+from tactile_loc import RunConfig, StageStore, load_object
 
 from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tactile_loc.core.runtime.errors import SensorError
-from tactile_loc.plugin import ConfigError, MissingLibraryError, SensorGeometry, registry
+from tactile_loc.plugin import ConfigError, MissingLibraryError, SensorError, SensorGeometry, registry
 from tactile_loc.plugin.helpers import transform_points
 from tactile_loc.testing import list_checks
 

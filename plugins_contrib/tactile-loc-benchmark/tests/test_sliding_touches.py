@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from tactile_loc.core.geometry.rigid import invert, rotation_angle
+from tactile_loc import RobotTouches, SensorGeometry
 from tactile_loc.core.sensing.contact import find_lowest_points
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.evaluation.robot_touches import RobotTouches
+from tactile_loc.plugin.helpers import invert, rotation_angle
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 
 from tactile_loc_benchmark.sliding_touches import MOST_RISE_M, SlidingTouches, Slip, draw_correlated, draw_smooth

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from message_helpers import naming
-from tactile_loc import Localizer, RobotTouches, RunConfig, TactileLocError, Touch, identify, make_noise
-from tactile_loc.core.poses.metric import PoseMetric
+from tactile_loc import Localizer, PoseMetric, RobotTouches, RunConfig, TactileLocError, Touch, identify, make_noise
 from tactile_loc.plugin import ConfigError, registry
 from tactile_loc.plugin.helpers import ByteCache, invert
 from tactile_loc.plugins.grids.whole import WholeGrid

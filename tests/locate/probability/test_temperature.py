@@ -7,8 +7,7 @@ import pytest
 import trimesh
 from message_helpers import naming
 
-from tactile_loc import PoseGrid, PoseMetric, PosteriorPrior, StageStore
-from tactile_loc.locate.localizer import Localizer
+from tactile_loc import Localizer, PoseGrid, PoseMetric, PosteriorPrior, StageStore
 from tactile_loc.locate.probability import temperature as module
 from tactile_loc.locate.probability.temperature import (
     SHARED,

@@ -8,25 +8,24 @@ import pytest
 from locate_helpers import draw_examples, locate_together, measure_errors_mm
 from message_helpers import naming
 
-from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.places.rotated_patches import find_anchor
-from tactile_loc.core.poses.posterior import PosePosterior
+from tactile_loc import (
+    Localizer,
+    PosePosterior,
+    RobotTouches,
+    StageStore,
+    Touch,
+    Verdict,
+    localize_together,
+    make_noise,
+)
 from tactile_loc.core.poses.priors import GaussianPrior, SeenFrom
-from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.runtime.progress import StageTimes
-from tactile_loc.core.sensing.noise import make_noise
-from tactile_loc.core.sensing.scene import View
-from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.robot_touches import RobotTouches
 from tactile_loc.io.config import RunConfig, SlotConfig
-from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.locate.sources import whole_object as search_module
 from tactile_loc.locate.sources.place_search import PlaceSearch, find_highest
 from tactile_loc.locate.sources.whole_object import search_together
-from tactile_loc.slots.registry import registry
-from tactile_loc.store.store import StageStore
+from tactile_loc.plugin import ConfigError, View, registry
+from tactile_loc.plugin.helpers import find_anchor, invert, make_transform, make_translation, rotation_about
 
 WHOLE = {"grid": {"name": "whole"}, "sensor": {"name": "gelsight-mini", "gel": "rigid"}}
 
