@@ -37,7 +37,6 @@ EDGES = (0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.0001)
 COARSE = (0, 0.2, 0.5, 0.8, 0.95, 1.0001)  # for the groups
 GAPS = np.linspace(0.005, 0.5, 100)
 MOST_WRONG = 0.02  # of the answers of the gap rule
-LEAST_CERTAIN = 20  # answers of a part, to be listed
 DRAWS = 2000  # of parts, for intervals
 
 

@@ -76,7 +76,7 @@ def prepare_source(entry: SuiteEntry, objects: Mapping[str, ObjectModel], suite:
             entry = _find_recordings(entry, suite.data)
             source: TouchSource = create("touch-source", entry)
             own = source.find_objects() if isinstance(source, RecordedSource) else objects
-            table = _prepare_sensor(source, entry, store)
+            table = _prepare_sensor(source, store)
             make_sensor(table)
     except TactileLocError as error:
         return PreparedSource(entry, UsedSource(entry.label, entry.name, problem=str(error)))
@@ -134,7 +134,7 @@ def _find_version(kind: str, entry: SuiteEntry) -> dict[str, str]:
     return describe_libraries([registry().find(kind, entry.name).distribution])
 
 
-def _prepare_sensor(source: TouchSource, entry: SuiteEntry, store: Path) -> dict[str, Any]:
+def _prepare_sensor(source: TouchSource, store: Path) -> dict[str, Any]:
     """Return the sensor's table, from the store or prepared now. Its files are complete when its table is written."""
     described = {
         "version": SENSOR_VERSION,
