@@ -13,7 +13,7 @@ import typer
 
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.store.files import require_writable
-from tactile_loc_cli.console import make_progress, say
+from tactile_loc_cli.console import make_progress, say, write_flags
 from tactile_loc_cli.options import Store, declare, set_option
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def calibrate(
     """
     from tactile_loc.sensors.calibration.folder import require_replaceable
     from tactile_loc.sensors.calibration.labelling import label_presses
-    from tactile_loc.sensors.calibration.outcome import FolderReading, calibrate_folder
+    from tactile_loc.sensors.calibration.outcome import FolderReading, calibrate_measured, measure_folder
     from tactile_loc.sensors.reading.estimator import EstimatorRecipe
     from tactile_loc.store.store import StageStore
 
@@ -141,15 +141,18 @@ def calibrate(
     labels: dict[str, Any] = {}
     scale, view = _state_view(mm_per_px, corners, gel_size, camera_matrix)
     with tempfile.TemporaryDirectory() as temporary:
-        converted = _convert(folder, Path(temporary), ball_radius, scale, view)
+        lines, converted = _convert(folder, Path(temporary), ball_radius, scale, view)
         if converted is not None:
             folder, file = converted, converted / "sensor.toml" if sensor is None else Path(sensor)
         else:
             labelled = label_presses(folder, sensor, ball_radius, scale, make_progress(), view)
-            labels = _report_labels(labelled, ball_radius)
-            folder, file = labelled.folder, labelled.sensor
+            more, labels = _describe_labels(labelled, ball_radius)
+            lines, folder, file = [*lines, *more], labelled.folder, labelled.sensor
         reading = FolderReading(background is Background.MEDIAN, image_size, curved)
-        outcome = calibrate_folder(folder, file, recipe, reading, StageStore(store), make_progress())
+        measured = measure_folder(folder, file, seed, reading, make_progress())
+        for line in (*measured.list_doubts(), *lines):
+            say(write_flags(line))
+        outcome = calibrate_measured(measured, recipe, StageStore(store), make_progress())
         return {**_finish(outcome, out), **labels}
 
 
@@ -188,8 +191,8 @@ def _state_view(
 
 def _convert(
     source: Path, folder: Path, ball_radius: float | None, mm_per_px: float | None, view: StatedView | None
-) -> Path | None:
-    """Name the layout of the photos. If another tool has labelled them, convert them, and return the new folder."""
+) -> tuple[list[str], Path | None]:
+    """Return lines with the layout of the photos, and a converted folder if another tool has labelled them."""
     from tactile_loc.io.streams.videos import VIDEO_SUFFIXES
     from tactile_loc.sensors.calibration.layouts import convert_presses, recognise_set
     from tactile_loc.sensors.calibration.press_table import TABLE
@@ -197,12 +200,12 @@ def _convert(
 
     if source.is_dir():
         if (source / TABLE).exists() or list_files(source, VIDEO_SUFFIXES):
-            return None
+            return [], None
     elif source.suffix.lower() != ".npz":
-        return None
+        return [], None
     found = recognise_set(source)
-    say(found.describe())
-    return convert_presses(source, folder, ball_radius, mm_per_px, view).parent if found.circles else None
+    converted = convert_presses(source, folder, ball_radius, mm_per_px, view).parent if found.circles else None
+    return [found.describe()], converted
 
 
 def _parse_options(words: list[str]) -> dict[str, Any]:
@@ -214,24 +217,21 @@ def _parse_options(words: list[str]) -> dict[str, Any]:
     return parse_overrides([f"sensor.{word}" for word in words]).get("sensor", {})  # parsing needs the name of a slot
 
 
-def _report_labels(labelled: LabelledFolder, ball_radius: float | None) -> dict[str, Any]:
-    """Print where the labels come from, draw new ones, and return those for the command's result."""
+def _describe_labels(labelled: LabelledFolder, ball_radius: float | None) -> tuple[list[str], dict[str, Any]]:
+    """Return lines that say where the labels come from. Draw new labels, and return those for the command's result."""
     from tactile_loc.sensors.calibration.press_table import TABLE
     from tactile_loc.view.calibration import save_labels
 
     table = labelled.folder / TABLE
     if labelled.found is None:
-        if ball_radius is not None:
-            new = labelled.unlisted
-            more = f"; {new} images are not in this table: remove it to detect the balls again" if new else ""
-            say(f"using the labels in {table}{more}")
-        return {}
+        new = labelled.unlisted
+        more = f"; {new} images are not in this table: remove it to detect the balls again" if new else ""
+        return [f"using the labels in {table}{more}"] if ball_radius is not None else [], {}
     found, sheet = labelled.found, save_labels(labelled.folder, labelled.found)
-    for line in labelled.describe():
-        say(line)
-    say(f"written: {table} (look at {sheet}; if a circle is wrong, edit its row and run the command again)")
+    edit = "if a circle is wrong, edit its row and run the command again"
     dropped = {press.name: press.dropped for press in found.presses if press.dropped}
-    return {"labels": {"table": str(table), "sheet": str(sheet), "used": len(found.used), "dropped": dropped}}
+    labels = {"table": str(table), "sheet": str(sheet), "used": len(found.used), "dropped": dropped}
+    return [*labelled.describe(), f"written: {table} (look at {sheet}; {edit})"], {"labels": labels}
 
 
 def _calibrate_simulated(
@@ -251,7 +251,7 @@ def _finish(outcome: CalibrationOutcome, out: Path) -> dict[str, Any]:
     outcome.write(out.absolute())
     picture = save_held_out(out, outcome)
     for fact in outcome.facts:
-        say(fact)
+        say(write_flags(fact))
     say(f"{outcome.title}; mean errors on these:")
     for line in outcome.list_errors():
         say(f"  {line}")

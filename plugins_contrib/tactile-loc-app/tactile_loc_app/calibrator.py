@@ -44,9 +44,10 @@ class MadeSensor:
     outcome: CalibrationOutcome
 
     def describe(self) -> list[str]:
-        """Return the key facts as sentences: the photos, the gel, and the errors on held-out photos."""
-        errors = [f"  {line}" for line in self.outcome.list_errors()]
-        return [*self.labelled.describe(), *self.outcome.facts, f"{self.outcome.title}; mean errors on these:", *errors]
+        """Return the key facts as sentences: doubts, the photos, the gel, and the errors on held-out photos."""
+        made, photos = self.outcome, self.labelled.describe()
+        errors = [f"{made.title}; mean errors on these:", *(f"  {line}" for line in made.list_errors())]
+        return [*made.doubts, *photos, *made.facts, *errors]
 
     def pack(self) -> bytes:
         """Return a zip archive of the calibration folder, and of the labels from which it was made."""

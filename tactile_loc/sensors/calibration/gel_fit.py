@@ -24,15 +24,18 @@ from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.gel import Gel, compute_smoothing, list_wave_numbers, make_solver
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.circles import Circle, compare_colours
+from tactile_loc.sensors.calibration.circles import TUKEY, Circle, compare_colours, fit_robustly
 from tactile_loc.sensors.calibration.labels import Image, PressLabel
 
-DEPTHS = np.linspace(0.12, 0.77, 131) ** 2  # in radii of the ball; the contacts' radii are about evenly spaced
+DEPTHS = np.linspace(0.12, 1.22, 171) ** 2  # in radii of the ball; the contacts' radii are about evenly spaced
 EVERY = 5  # each of these depths is solved; the surfaces between are interpolated
 PIXELS, WIDTH = 144, 5.2  # pixels along a side of the window in which balls are pressed, and its width in radii
 SOLVED = 12  # iterations of the solver
 THICKNESSES_M = 1e-3 * np.geomspace(1.5, 24.0, 9)  # tried, before the least is interpolated
 COATINGS_M = 1e-3 * np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+SURE = 0.02  # standard deviation of the contact's share of the circle, at least
+DETERMINED = 0.85  # largest radius of a contact that shows the press depth, in radii of the ball
+NEVER = 1e3  # height beside a ball, in its radii, that no press reaches
 FEWEST = 3  # presses
 REACH = np.arange(0.15, 3.01, 0.05)  # distances from a circle's centre at which colours are compared, in radii
 ANGLES = 120  # compared directions, an even number
@@ -46,12 +49,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PressedBalls:
-    """A ball that is pressed by DEPTHS into a gel, at distances `away_m` (K,), metres, from the ball's axis.
+    """A ball of radius `ball_m` pressed by DEPTHS into a gel, at distances `away_m` (K,), metres, from its axis.
 
     `surface_m` (D, K) is the displacement of the gel's surface, and `slope` (D, K) the downward slope that the camera
     sees. `contact_m` (D,) are the radii of the contacts.
     """
 
+    ball_m: float
     away_m: Floats
     surface_m: Floats
     slope: Floats
@@ -85,7 +89,7 @@ def press_balls(gel: Gel, ball_m: float) -> PressedBalls:
     if not gel.is_elastic:
         surface = np.maximum((DEPTHS * ball_m)[:, None] - _shape_ball(away_m, ball_m), 0)
         slope = np.asarray(-np.gradient(surface, pitch_m, axis=1), float)
-        return PressedBalls(away_m, surface, slope, ball_m * np.sqrt(1 - (1 - DEPTHS) ** 2))
+        return PressedBalls(ball_m, away_m, surface, slope, ball_m * np.sqrt(1 - (1 - np.minimum(DEPTHS, 1)) ** 2))
     bare = Gel(gel.thickness_m, gel.poisson)
     surface, pressure = _press(bare, ball_m)
     spectrum, padded = _transform(bare, ball_m)
@@ -97,7 +101,7 @@ def press_balls(gel: Gel, ball_m: float) -> PressedBalls:
     contact_m = pitch_m * np.sqrt((pressure > 0).sum(axis=(1, 2)) / np.pi)
     slope = np.asarray(-np.gradient(visible, pitch_m, axis=1), float)
     rows = (surface[:, middle, middle:].astype(float), slope, contact_m)
-    return PressedBalls(away_m, *(_interpolate(values) for values in rows))
+    return PressedBalls(ball_m, away_m, *(_interpolate(values) for values in rows))
 
 
 @lru_cache(maxsize=32)
@@ -129,8 +133,12 @@ def _interpolate(solved: Floats) -> Floats:
 
 
 def _shape_ball(away_m: Floats, ball_m: float) -> Floats:
-    """Return the heights, metres, of a ball's underside over its deepest point, at distances from its axis, metres."""
-    return np.asarray(ball_m - np.sqrt(np.maximum(ball_m**2 - away_m**2, 0)))
+    """Return the heights, metres, of a ball's underside over its deepest point, at distances from its axis, metres.
+
+    Beside the ball, the height is NEVER radii.
+    """
+    below_m = ball_m - np.sqrt(np.maximum(ball_m**2 - away_m**2, 0))
+    return np.asarray(np.where(away_m < ball_m, below_m, NEVER * ball_m))
 
 
 def label_elastic_ball(
@@ -139,7 +147,8 @@ def label_elastic_ball(
     """Return the label of a ball on an elastic gel, which touches the gel within `contact_m` metres from its axis.
 
     The indentation is that of the gel's surface, and the slope is what the camera sees through the coating. The label
-    is known everywhere. `centre_px` (x, y) is the axis in the image, pixels.
+    is known everywhere. It is absolute only up to DETERMINED radii, because a deeper press hardly widens the contact.
+    `centre_px` (x, y) is the axis in the image, pixels.
     """
     height, width = geometry.shape
     sx, sy = geometry.scale_at_surface
@@ -150,8 +159,8 @@ def label_elastic_ball(
     lean = np.interp(away, ball.away_m, ball.slope[pressed], right=0.0)
     slope = -np.stack([x * lean, y * lean], axis=-1) / np.maximum(away, 1e-9)[..., None]
     contact = away < ball.contact_m[pressed]
-    known = np.ones(geometry.shape, bool)
-    return PressLabel(indentation.astype(np.float32), slope.astype(np.float32), contact, known)
+    known, absolute = np.ones(geometry.shape, bool), contact_m < DETERMINED * ball.ball_m
+    return PressLabel(indentation.astype(np.float32), slope.astype(np.float32), contact, known, absolute)
 
 
 class BallImage(NamedTuple):
@@ -167,8 +176,9 @@ class BallImage(NamedTuple):
 class GelFit:
     """A gel's effective thickness with its standard deviation, and its coating, metres.
 
-    `contact` is the contact's radius as a share of the visible circle's radius (median over the presses). `rms` is the
-    difference between seen and modelled profiles, as a share of the profiles; `rigid_rms` is that of a rigid gel.
+    `contact` is the contact's radius as a share of the visible circle's radius (median over the presses), and
+    `contacts` has this share for each press. `rms` is the difference between seen and modelled profiles, as a share of
+    the profiles; `rigid_rms` is that of a rigid gel.
     """
 
     thickness_m: float
@@ -177,6 +187,7 @@ class GelFit:
     contact: float
     rms: float
     rigid_rms: float
+    contacts: tuple[float, ...] = ()
 
     @property
     def is_elastic(self) -> bool:
@@ -199,8 +210,10 @@ class GelFit:
         )
 
     def record(self) -> dict[str, Any]:
-        """Return the fit as JSON values."""
-        return asdict(self)
+        """Return the fit as JSON values, without the single presses."""
+        values = asdict(self)
+        del values["contacts"]
+        return values
 
 
 def fit_gel(images: Sequence[BallImage], untouched: Image, progress: Progress | None = None) -> GelFit | None:
@@ -208,8 +221,9 @@ def fit_gel(images: Sequence[BallImage], untouched: Image, progress: Progress | 
 
     Return None if fewer than FEWEST presses are in the image.
     """
-    profiles = [(one, measure_profile(one, untouched)) for one in images]
-    profiles = [(one, profile) for one, profile in profiles if np.isfinite(profile).sum() > len(REACH) // 2]
+    every = [(one, measure_profile(one, untouched)) for one in images]
+    usable = [np.isfinite(profile).sum() > len(REACH) // 2 for _, profile in every]
+    profiles = [press for press, use in zip(every, usable, strict=True) if use]
     if len(profiles) < FEWEST:
         return None
     errors = np.empty((len(THICKNESSES_M), len(COATINGS_M), len(profiles)))
@@ -226,16 +240,29 @@ def fit_gel(images: Sequence[BallImage], untouched: Image, progress: Progress | 
     std_m = best_m * float(np.std(each, ddof=1)) / np.sqrt(len(each))
     final, shares = _compare(profiles, Gel(best_m, coating_m=coating_m))
     rigid, _ = _compare(profiles, Gel())
-    return GelFit(
-        best_m, std_m, coating_m, float(np.median(shares)), float(np.sqrt(final.mean())), float(np.sqrt(rigid.mean()))
-    )
+    contacts = _smooth_shares(images, np.array(usable), shares)
+    contact = float(np.median(shares))
+    rms, rigid_rms = float(np.sqrt(final.mean())), float(np.sqrt(rigid.mean()))
+    return GelFit(best_m, std_m, coating_m, contact, rms, rigid_rms, contacts)
 
 
-def measure_profile(press: BallImage, untouched: Image) -> Floats:
-    """Return the root mean square of the odd colour change (K,), counts, at REACH radii; NaN beyond the image."""
+def _smooth_shares(images: Sequence[BallImage], usable: NDArray[np.bool_], shares: Floats) -> tuple[float, ...]:
+    """Return the contact's share of the circle for each press, given that of `usable` presses.
+
+    The share falls with the circle's radius, because a contact is at most as wide as the ball.
+    """
+    radii = np.array([one.circle.radius_px * one.pitch_m / one.ball_m for one in images])
+    terms = np.column_stack([np.ones(len(radii)), radii])
+    least, first = 2 * SURE, np.ones(usable.sum())
+    trend, _ = fit_robustly(terms[usable], shares[:, None], first, lambda m: max(least, TUKEY * 1.48 * m), 10)
+    return tuple(np.clip((terms @ trend)[:, 0], shares.min(), shares.max()).tolist())
+
+
+def measure_profile(press: BallImage, untouched: Image, reach: Floats = REACH) -> Floats:
+    """Return the root mean square of the odd colour change (K,), counts, at `reach` radii; NaN beyond the image."""
     change = gaussian_filter(compare_colours(press.image, untouched), (SMOOTHING_PX, SMOOTHING_PX, 0))
     angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
-    away = press.circle.radius_px * REACH[:, None]
+    away = press.circle.radius_px * reach[:, None]
     places = [press.circle.y_px + away * np.sin(angle) - 0.5, press.circle.x_px + away * np.cos(angle) - 0.5]
     seen = np.stack([map_coordinates(change[..., c], places, order=1, cval=np.nan) for c in range(3)])
     odd = 0.5 * (seen - np.roll(seen, ANGLES // 2, axis=2))

@@ -30,14 +30,14 @@ class LabelledFolder:
     """A `folder` with the table of presses, and the path `sensor` of the sensor's file, which may be missing.
 
     If the table was just written, `found` are the balls in the images, and `depths_mm` are the least and the largest
-    press depth, mm, by their circles. Otherwise, `unlisted` is the number of images that are not in the table. `view`
-    is the view of the gel that the photos show, if it is not the stated one.
+    press depth, mm, of those whose circles show it. Otherwise, `unlisted` is the number of images that are not in the
+    table. `view` is the view of the gel that the photos show, if it is not the stated one.
     """
 
     folder: Path
     sensor: Path
     found: FoundPresses | None = None
-    depths_mm: tuple[float, float] = (0.0, 0.0)
+    depths_mm: tuple[float, float] | None = None
     unlisted: int = 0
     view: SeenView | None = None
 
@@ -45,21 +45,19 @@ class LabelledFolder:
         """Return sentences about the images, the images that are not used, and the press depths."""
         if self.found is None:
             return []
-        found, (least_mm, most_mm) = self.found, self.depths_mm
+        found = self.found
         untouched = len(found.untouched_names)
         composed = "none of the untouched gel, so its image was composed from others"
         gel = f"{untouched} of the untouched gel" if untouched else composed
         if found.drift is not None:
             gel += f" ({found.untouched_names[0]}; since then {found.drift.describe()}; corrected in {UNTOUCHED})"
         dropped = [f"  not used: {press.name}: {press.dropped}" for press in found.presses if press.dropped]
-        depths = f"press depths, estimated from the circles: {least_mm:.2f} to {most_mm:.2f} mm"
         view = [] if self.view is None else [self.view.says]
-        return [
-            *view,
-            f"images: {len(found.used)} with a ball, {gel}",
-            *dropped,
-            f"{depths}; check that they are plausible",
-        ]
+        lines = [*view, f"images: {len(found.used)} with a ball, {gel}", *dropped]
+        if self.depths_mm is not None:
+            depths = f"{self.depths_mm[0]:.2f} to {self.depths_mm[1]:.2f} mm"
+            lines.append(f"press depths, estimated from the circles: {depths}; check that they are plausible")
+        return lines
 
 
 def label_presses(
@@ -127,7 +125,7 @@ def label_presses(
         seen = better
         found = find_presses(_rectify_frames(frames, seen.photo_map), ball_radius_mm / scale, progress)
     depths_mm = _estimate_depths_mm(found, ball_radius_mm, scale)
-    _write_labels(folder, found, ball_radius_mm, scale)
+    _write_labels(folder, found, ball_radius_mm)
     if not stated:
         write_sensor_file(file, *((camera, photo_map) if seen is None else (seen.camera, seen.photo_map)))
     return LabelledFolder(folder, file, found, depths_mm, view=seen)
@@ -162,14 +160,17 @@ def _read_scale(file: Path, mm_per_px: float | None) -> float:
     return scale
 
 
-def _estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float]:
-    """Estimate the least and the largest press depth, mm, from the balls' visible circles.
+def _estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> tuple[float, float] | None:
+    """Estimate the least and the largest press depth, mm, from the visible circles that are narrower than the ball.
 
-    Raises CalibrationError when even the largest depth is below SHALLOWEST_MM.
+    Return None if all circles are wider. Raises CalibrationError when even the largest depth is below SHALLOWEST_MM.
     """
-    radii_mm = mm_per_px * np.array([press.circle.radius_px for press in found.used if press.circle is not None])
-    depths_mm = ball_radius_mm - np.sqrt(ball_radius_mm**2 - np.minimum(radii_mm, STEEPEST * ball_radius_mm) ** 2)
-    if depths_mm.max() < SHALLOWEST_MM:
+    every_mm = mm_per_px * np.array([press.circle.radius_px for press in found.used if press.circle is not None])
+    radii_mm = every_mm[every_mm <= STEEPEST * ball_radius_mm]
+    if not len(radii_mm):
+        return None
+    depths_mm = ball_radius_mm - np.sqrt(ball_radius_mm**2 - radii_mm**2)
+    if len(radii_mm) == len(every_mm) and depths_mm.max() < SHALLOWEST_MM:
         raise CalibrationError(
             f"imprints of radius {radii_mm.min():.2g} to {radii_mm.max():.2g} mm would be at most "
             f"{depths_mm.max():.1g} mm deep for a ball of radius {ball_radius_mm:g} mm; check `ball_radius` and "
@@ -178,7 +179,7 @@ def _estimate_depths_mm(found: FoundPresses, ball_radius_mm: float, mm_per_px: f
     return float(depths_mm.min()), float(depths_mm.max())
 
 
-def _write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_per_px: float) -> None:
+def _write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float) -> None:
     """Write `presses.csv` with the used presses. Write a composed or corrected untouched gel, too."""
     names = list(found.untouched_names)
     if not names or found.drift is not None:
@@ -189,4 +190,4 @@ def _write_labels(folder: Path, found: FoundPresses, ball_radius_mm: float, mm_p
         assert press.circle is not None
         x, y, radius = (round(v, 2) for v in (press.circle.x_px, press.circle.y_px, press.circle.radius_px))
         rows.append((press.name, (x, y, radius)))
-    write_table(folder / TABLE, rows, ball_radius_mm, mm_per_px)
+    write_table(folder / TABLE, rows, ball_radius_mm)

@@ -26,6 +26,7 @@ Mask = NDArray[np.bool_]
 SKIRT = 2.5  # distance from a ball's centre beyond which the gel is untouched, in radii of the visible circle
 LARGEST_BALL_M = 1.0
 STEEPEST = 0.98  # largest radius of a contact, share of the ball's radius
+WIDEST = 1.6  # largest radius of a visible circle, share of the ball's: the gel around a deep press widens the circle
 SKIRT_M = 3e-3  # distance from a mesh's contact beyond which the gel is untouched
 
 
@@ -51,10 +52,11 @@ def label_ball(
     """Return the label of a ball from its visible circle in the image, with centre (x, y) and radius in pixels.
 
     Let rho be the distance from the centre on the surface, r the radius of the circle and R the radius of the ball. The
-    indentation is sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside the circle and 0 outside. On a curved gel, the ball's
-    centre is shifted until the ball's surface is parallel to the gel at the circle's centre. The mean indentation of
-    the rim is then 0. Raises CalibrationError when the circle is larger than the ball, or when the circle's centre is
-    outside the image.
+    indentation is sqrt(R^2 - rho^2) - sqrt(R^2 - r^2) inside the circle and 0 outside. In a press deeper than R, the
+    circle is wider than the ball, and the label ends near the ball's equator, at STEEPEST radii. On a curved gel, the
+    ball's centre is shifted until the ball's surface is parallel to the gel at the circle's centre. The mean
+    indentation of the rim is then 0. Raises CalibrationError when the circle is wider than WIDEST radii, or when its
+    centre is outside the image.
     """
     height, width = geometry.shape
     if not (0 <= centre_px[0] <= width and 0 <= centre_px[1] <= height):
@@ -68,11 +70,12 @@ def label_ball(
             f"the circle's radius is {radius_px:g} px and the ball's is {1e3 * R:.3g} mm; both must be positive, and "
             f"the ball's at most {1e3 * LARGEST_BALL_M:g} mm"
         )
-    if not r <= STEEPEST * R:
+    if not r <= WIDEST * R:
         raise CalibrationError(
-            f"the circle's radius is {radius_px:g} px or {1e3 * r:.3g} mm, more than {100 * STEEPEST:g} % of the "
-            f"ball's {1e3 * R:.3g} mm; check both radii and the pixel size"
+            f"the circle's radius is {radius_px:g} px or {1e3 * r:.3g} mm, more than {WIDEST:g} times the ball's "
+            f"{1e3 * R:.3g} mm; check both radii and the pixel size"
         )
+    skirt, r = SKIRT * r, min(r, STEEPEST * R)
     sx, sy = geometry.scale_at_surface
     x = ((np.arange(width) + 0.5 - centre_px[0]) / sx)[None, :]
     y = ((np.arange(height) + 0.5 - centre_px[1]) / sy)[:, None]
@@ -88,7 +91,7 @@ def label_ball(
     rim = np.sqrt(R**2 - r**2) if geometry.relief_m is None else _average_rim(pushed, rho2, r, geometry.pixel_pitch_m)
     indentation = np.where(contact, pushed - rim, 0.0).astype(np.float32)
     slope = (gel + np.stack([-x / below, -y / below], axis=-1)) * contact[..., None]
-    return PressLabel(indentation, slope.astype(np.float32), contact, contact | (rho2 > (SKIRT * r) ** 2), False)
+    return PressLabel(indentation, slope.astype(np.float32), contact, contact | (rho2 > skirt**2), False)
 
 
 def _average_rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: float, width_m: float) -> float:

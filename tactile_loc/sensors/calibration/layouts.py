@@ -92,8 +92,7 @@ def convert_presses(
 
     The folder gets a sensor file of square pixels, `mm_per_px` mm wide, and circles in these pixels. `view` states how
     the camera sees the gel, if it does not see it straight. The default ball and scale are those that the set states.
-    Circles larger than the ball are reduced: see `write_table`. Raises CalibrationError when the source holds no
-    labels, or when the ball or the scale is unknown.
+    Raises CalibrationError when the source holds no labels, or when the ball or the scale is unknown.
     """
     found = recognise_set(source)
     if not found.circles:
@@ -119,7 +118,7 @@ def convert_presses(
     write_sensor_file(out / SENSOR, camera, photo_map)
     if photo_map is not None:
         rows = [(file, circle and photo_map.move_circle(circle)) for file, circle in rows]
-    return write_table(out / TABLE, rows, ball_mm, 1e3 * camera.pixel_pitch_m)
+    return write_table(out / TABLE, rows, ball_mm)
 
 
 def find_gs_sdk(source: Path) -> PressSet | None:

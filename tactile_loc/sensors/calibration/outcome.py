@@ -29,7 +29,7 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 HELD_OUT = 0.2  # share of the presses on which the errors are measured
 FEWEST = 5  # fewest presses for a calibration: four for training and one held out
-STAGE_VERSION, RECORD = 7, "held-out"
+STAGE_VERSION, RECORD = 8, "held-out"
 MOST_CHECKED = 12  # largest number of presses for which the sensor's checks are measured
 LOOKED_AT = 60  # largest number of presses for which the health is measured
 QUANTITIES = {
@@ -45,13 +45,15 @@ class CalibrationOutcome:
     """A trained `estimator`, its `presses`, and a record as JSON values.
 
     The record has the errors on the held-out presses, the noise of the untouched gel (`noise_m`, metres), and the worst
-    health of the training presses. `facts` are sentences about the gel, if it was measured.
+    health of the training presses. `doubts` are sentences about the ball and the scale, if they cannot be as stated.
+    `facts` are sentences about the presses and the gel, if it was measured.
     """
 
     presses: LabelledPresses
     estimator: GelEstimator
     record: dict[str, Any]
     facts: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def held_out(self) -> list[int]:
@@ -188,24 +190,22 @@ class FolderReading:
     curved: bool = False
 
 
-def calibrate_folder(
+def measure_folder(
     folder: Path,
     sensor: Path | SensorGeometry,
-    recipe: EstimatorRecipe | None = None,
+    seed: int = 0,
     reading: FolderReading | None = None,
-    store: StageStore | None = None,
     progress: Progress | None = None,
-) -> CalibrationOutcome:
-    """Calibrate with a folder of presses and the `sensor` that took them, or its file, or load the stored result.
+) -> PressFolder:
+    """Read a folder of presses by the `sensor` that took them, or its file, and measure the gel and the ball's size.
 
-    Raises CalibrationError when the folder cannot be used, SensorError when the sensor's file cannot be read, and
-    ConfigError for wrong options.
+    Raises CalibrationError when the folder cannot be used, and SensorError when the sensor's file cannot be read.
     """
     if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; give a folder with images of presses and presses.csv")
     if isinstance(sensor, Path) and not os.path.isfile(sensor):
         raise SensorError(f"there is no sensor file {sensor}; write it (docs/files.md), or give `sensor`")
-    recipe, reading, watcher = recipe or EstimatorRecipe(), reading or FolderReading(), progress or Progress()
+    reading, watcher = reading or FolderReading(), progress or Progress()
     camera, photo_map = (sensor, None) if isinstance(sensor, SensorGeometry) else read_camera(sensor)
     size_px = reading.size_px or choose_size_px(camera)
     presses = read_presses(folder, camera, reading.median_background, size_px, photo_map).measure_stretch()
@@ -216,12 +216,34 @@ def calibrate_folder(
             raise MissingLibraryError(
                 f"curved gels need {error.name}, which is not installed: pip install 'tactile-loc[learned]'"
             ) from error
-        relief_m = learn_relief(presses, recipe.seed, watcher)
+        relief_m = learn_relief(presses, seed, watcher)
         presses = replace(presses, geometry=replace(presses.geometry, relief_m=relief_m))
-    presses = presses.measure_gel(watcher)
-    outcome = calibrate_stage(presses, recipe, store or StageStore(), watcher)
+    return presses.measure_gel(watcher)
+
+
+def calibrate_folder(
+    folder: Path,
+    sensor: Path | SensorGeometry,
+    recipe: EstimatorRecipe | None = None,
+    reading: FolderReading | None = None,
+    store: StageStore | None = None,
+    progress: Progress | None = None,
+) -> CalibrationOutcome:
+    """Calibrate with a folder of presses and the `sensor` that took them, or its file, or load the stored result.
+
+    Raises the errors of `measure_folder`, and ConfigError for wrong options.
+    """
+    recipe = recipe or EstimatorRecipe()
+    return calibrate_measured(measure_folder(folder, sensor, recipe.seed, reading, progress), recipe, store, progress)
+
+
+def calibrate_measured(
+    presses: PressFolder, recipe: EstimatorRecipe, store: StageStore | None = None, progress: Progress | None = None
+) -> CalibrationOutcome:
+    """Calibrate with presses from `measure_folder`, or load the stored result. Raises ConfigError for wrong options."""
+    outcome = calibrate_stage(presses, recipe, store or StageStore(), progress or Progress())
     record = {**outcome.record, CHECKED: _check_presses(presses, outcome.estimator)}
-    return replace(outcome, record=record, facts=tuple(presses.list_facts()))
+    return replace(outcome, record=record, facts=tuple(presses.list_facts()), doubts=tuple(presses.list_doubts()))
 
 
 def _check_presses(presses: PressFolder, estimator: GelEstimator) -> dict[str, float]:

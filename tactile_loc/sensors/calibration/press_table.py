@@ -9,7 +9,6 @@ import numpy as np
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.io.csv_tables import read_table, require_columns
-from tactile_loc.sensors.calibration.labels import STEEPEST
 from tactile_loc.store.files import write_atomically
 
 TABLE, SENSOR = "presses.csv", "sensor.toml"
@@ -92,20 +91,18 @@ def list_named_files(table: Path) -> set[str]:
     return {row.values["image"] for row in rows} | {row.values.get("mesh") or "" for row in rows} - {""}
 
 
-def write_table(table: Path, circles: Circles, ball_radius_mm: float, mm_per_px: float) -> Path:
+def write_table(table: Path, circles: Circles, ball_radius_mm: float) -> Path:
     """Write a table of images and return its path.
 
-    Each row has an image's name and the ball's circle (x, y, radius), pixels, or None for the untouched gel. The image
-    scale is approximate, so a circle may be larger than the ball. Such a circle is reduced to the largest possible
-    circle. Raises OutputError when the file cannot be written.
+    Each row has an image's name and the ball's circle (x, y, radius), pixels, or None for the untouched gel. Raises
+    OutputError when the file cannot be written.
     """
-    largest = np.floor(1e3 * STEEPEST * ball_radius_mm / mm_per_px) / 1e3
     lines: list[tuple[object, ...]] = [("image", "kind", *KINDS["ball"])]
     for image, circle in circles:
         if circle is None:
             lines.append((image, "background"))
         else:
-            lines.append((image, "ball", circle[0], circle[1], min(circle[2], largest), ball_radius_mm))
+            lines.append((image, "ball", *circle, ball_radius_mm))
 
     def write(path: Path) -> None:
         with path.open("w", newline="", encoding="utf-8") as file:

@@ -21,9 +21,10 @@ from tactile_loc.io.images import read_photo
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.sensors.calibration.circles import Circle
 from tactile_loc.sensors.calibration.gel_fit import BallImage, GelFit, fit_gel, label_elastic_ball, press_balls
-from tactile_loc.sensors.calibration.labels import Image, LabelledPresses, PressLabel, label_ball, label_mesh
+from tactile_loc.sensors.calibration.labels import STEEPEST, Image, LabelledPresses, PressLabel, label_ball, label_mesh
 from tactile_loc.sensors.calibration.press_table import KINDS, TABLE, UNTOUCHED, PressRow, read_rows
 from tactile_loc.sensors.calibration.reflectance import BallContact, SeenBalls
+from tactile_loc.sensors.calibration.statement import UNCHECKED, Statement, check_statement
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import reduce_image
 from tactile_loc.sensors.reading.rectification import Stretch, measure_stretch
@@ -43,7 +44,7 @@ class PressFolder(LabelledPresses):
     in the table are in pixels of `camera`. If there is a `photo_map`, photos were rectified by it. `stretch` is
     what their imprints show, if it was measured. Marker dots are filled in, in the images and in the background; `gel`
     has the background with its dots. `fit` is the gel's elasticity, if it is known. The balls' labels follow from it,
-    and from their `contacts`, in pixels of `geometry`.
+    and from their `contacts`, in pixels of `geometry`. `statement` is what the presses show about the stated radii.
     """
 
     rows: tuple[PressRow, ...]
@@ -56,6 +57,7 @@ class PressFolder(LabelledPresses):
     photo_map: PhotoMap | None = None
     stretch: Stretch | None = None
     contacts: Mapping[int, BallContact] = field(default_factory=dict)
+    statement: Statement = UNCHECKED
     _scenes: dict[tuple[Path, str], Scene] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -92,14 +94,17 @@ class PressFolder(LabelledPresses):
         return BallImage(self.images[number], circle, 1e-3 * ball_mm, pitch_m)
 
     def measure_gel(self, progress: Progress | None = None) -> PressFolder:
-        """Return the presses with the gel's elasticity, if the gel is flat and balls determine its elasticity."""
+        """Return the presses with the gel's elasticity and the check of the balls' radii, if the gel is flat."""
+        if self.geometry.is_curved:
+            return self
         balls = [self.read_ball(number) for number in self.list_balls()]
-        fit = None if self.geometry.is_curved else fit_gel(balls, self.background, progress)
+        fit = fit_gel(balls, self.background, progress)
+        measured = replace(self, fit=fit, statement=check_statement(balls, self.background))
         if fit is None or not fit.is_elastic:
-            return replace(self, fit=fit)
+            return measured
         fit, contacts = SeenBalls(balls, self.background, self.geometry).fit(fit)
         found = dict(zip(self.list_balls(), contacts, strict=True))
-        return replace(self, fit=fit, geometry=replace(self.geometry, gel=fit.gel), contacts=found)
+        return replace(measured, fit=fit, geometry=replace(self.geometry, gel=fit.gel), contacts=found)
 
     def measure_stretch(self) -> PressFolder:
         """Return the presses with the stretch of their photos, if there are enough presses of balls."""
@@ -123,9 +128,17 @@ class PressFolder(LabelledPresses):
             "fit": None if self.fit is None else self.fit.record(),
         }
 
+    def list_doubts(self) -> list[str]:
+        """Return sentences about the balls and the scale, if they cannot be as stated."""
+        balls = self.list_balls()
+        if not balls:
+            return []
+        names, ball_mm = [self.name(number) for number in balls], 1e3 * self.read_ball(balls[0]).ball_m
+        return self.statement.list_doubts(names, ball_mm, 1e3 * self.camera.pixel_pitch_m)
+
     def list_facts(self) -> list[str]:
-        """Return sentences about the gel: its surface if it is curved, its elasticity if it was fitted, its dots."""
-        facts, relief_m = [], self.geometry.relief_m
+        """Return sentences about deep presses, the ball, and the gel: its surface, its elasticity, its dots."""
+        facts, relief_m = [*self._list_deep(), *self.statement.list_facts()], self.geometry.relief_m
         if self.stretch is not None and self.stretch.is_clear:
             facts.append(f"the scales of x and y differ: {self.stretch.describe()}; {self.stretch.advise(self.camera)}")
         if relief_m is not None:
@@ -141,15 +154,23 @@ class PressFolder(LabelledPresses):
             )
         return facts
 
-    def record(self) -> dict[str, Any]:
-        """Return the size of the camera's images, the marker dots and the gel's elasticity, as JSON values.
+    def _list_deep(self) -> list[str]:
+        """Return a sentence about the presses whose circles are as wide as the ball, if there are any."""
+        balls = [(self.name(number), self.read_ball(number)) for number in self.list_balls()]
+        deep = [name for name, ball in balls if ball.circle.radius_px * ball.pitch_m > STEEPEST * ball.ball_m]
+        names = "all presses" if len(deep) == len(balls) else ", ".join(deep)
+        return [f"used, but the circle is too wide to show the press depth: {names}"] if deep else []
 
-        The elasticity is left out if the presses do not determine it.
+    def record(self) -> dict[str, Any]:
+        """Return the camera's image size, the marker dots, the gel's elasticity and the ball's size, as JSON values.
+
+        The elasticity and the size are left out if the presses do not determine them.
         """
         dots = {} if self.gel is None else {"dots": self.gel.record(self.geometry.pixel_pitch_m)}
         gel = {} if self.fit is None else {"gel": self.fit.record()}
         photo = {} if self.photo_map is None else {"photo": self.photo_map.record()}
-        return {"camera_px": list(self.camera.shape), **photo, **dots, **gel}
+        ball = {} if self.statement.ratio is None else {"ball": self.statement.record()}
+        return {"camera_px": list(self.camera.shape), **photo, **dots, **gel, **ball}
 
     def _label_ball(self, number: int) -> PressLabel:
         ball = self.read_ball(number)

@@ -62,13 +62,13 @@ class SeenBalls:
         """
         circles_m = [ball.circle.radius_px * ball.pitch_m for ball in self.images]
         contacts = [
-            BallContact(ball.circle.x_px, ball.circle.y_px, fit.contact * radius_m)
-            for ball, radius_m in zip(self.images, circles_m, strict=True)
+            BallContact(ball.circle.x_px, ball.circle.y_px, share * radius_m)
+            for ball, radius_m, share in zip(self.images, circles_m, fit.contacts, strict=True)
         ]
         contacts = self._find_contacts(contacts, fit.gel)
         moved = [
-            ball._replace(circle=Circle(x_px, y_px, radius_m / fit.contact / ball.pitch_m))
-            for ball, (x_px, y_px, radius_m) in zip(self.images, contacts, strict=True)
+            ball._replace(circle=Circle(x_px, y_px, radius_m / share / ball.pitch_m))
+            for ball, (x_px, y_px, radius_m), share in zip(self.images, contacts, fit.contacts, strict=True)
         ]
         again = fit_gel(moved, self.untouched)
         if again is None or not again.is_elastic:

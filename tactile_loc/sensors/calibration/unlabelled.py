@@ -17,7 +17,7 @@ from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.circles import CONTRAST, LIKENESS, Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.sensors.calibration.frames import PressImage
-from tactile_loc.sensors.calibration.labels import Float32, Image
+from tactile_loc.sensors.calibration.labels import WIDEST, Float32, Image
 from tactile_loc.sensors.calibration.untouched import (
     HOW_TO_PRESS,
     MOST_STACKED,
@@ -34,7 +34,6 @@ APART = 2.2  # radius of the area that belongs to an imprint, in radii of the im
 OUTSIDE = 0.1  # largest part of a circle's radius that may lie beyond the image's border
 EXPOSED, MOST_EXPOSED = 253, 0.25  # least count of a saturated value, and largest share of such values in a circle
 OVERSIZED = "imprint larger than the ball"
-TOO_LARGE = 1.3  # largest radius of a circle with its skirt, in radii of the ball
 
 Array = NDArray[np.float64]
 
@@ -167,6 +166,6 @@ def _find_fault(image: Image, reference: Float32, circle: Circle, ball_px: float
     white = (image >= EXPOSED) & (reference < EXPOSED)
     if white[inside].mean() > MOST_EXPOSED:
         return "over-exposed"
-    if ball_px is not None and circle.radius_px > TOO_LARGE * ball_px:
+    if ball_px is not None and circle.radius_px > WIDEST * ball_px:
         return OVERSIZED
     return ""

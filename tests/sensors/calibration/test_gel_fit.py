@@ -108,7 +108,7 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fi
         depth = int(np.abs(DEPTHS * 2.92e-3 - press_m).argmin())
         ball_m = np.interp(away, truth.away_m, truth.surface_m[depth]) + press_m - DEPTHS[depth] * 2.92e-3
         off_m = (read(shapes / f"sphere_{press}_real.png") - ball_m)[away < truth.contact_m[depth]]
-        assert np.sqrt(np.mean(off_m**2)) < 40e-6
+        assert np.sqrt(np.mean(off_m**2)) < 55e-6
         flat_m = read(shapes / f"prism_{press}_real.png")[tip]
         assert flat_m.mean() == pytest.approx(press_m, rel=0.05, abs=7e-5)
         assert flat_m.std() < 4.5e-5

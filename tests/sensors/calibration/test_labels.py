@@ -59,10 +59,17 @@ def test_pixels_between_contact_and_untouched_gel_are_unknown():
     np.testing.assert_array_equal(cut.indentation_m[:, :40], label.indentation_m[:, 40:])
 
 
+def test_the_label_of_a_deep_press_ends_near_the_balls_equator():
+    label = label_ball(GEOMETRY, (40.0, 40.0), 18.0, BALL_M)  # the ball's radius is 15 px
+    rho = np.hypot(*places(GEOMETRY))
+    np.testing.assert_array_equal(label.contact, rho < 0.98 * BALL_M)
+    assert not label.known[(rho > BALL_M) & (rho < 1.2 * 2 * BALL_M)].any()
+
+
 @pytest.mark.parametrize(
     ("centre", "radius_px", "ball_m", "words"),
     [
-        ((40, 40), 14.8, BALL_M, ("14.8 px", "3 mm", "radius")),  # larger than the ball
+        ((40, 40), 24.1, BALL_M, ("24.1 px", "3 mm", "radius")),  # much larger than the ball
         ((40, 40), 100.0, BALL_M, ("100 px", "3 mm", "radius")),
         ((40, 40), 0.0, BALL_M, ("0 px", "3 mm")),
         ((40, 40), -3.0, BALL_M, ("-3 px", "3 mm")),
