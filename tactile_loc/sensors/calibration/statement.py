@@ -39,7 +39,7 @@ INSIDE = 0.7  # part of a circle or of the ball in which slopes are compared, sh
 SAMPLES = 300  # pixels of a press
 RIDGE = 1e-3
 SPREAD = 0.13  # least standard deviation of the logarithms of the factors of two balls
-FEWEST_FOR_TWO = 6  # presses
+FEWEST_FOR_TWO = 10  # presses
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,8 @@ def _measure_misfits(images: Sequence[BallImage], untouched: Image) -> Floats | 
     ball_m = images[0].ball_m
     places_m = ball_m * 2.0 ** (np.arange(low, high + 1) / STEPS)
     coatings_m = gel_fit.COATINGS_M[::EVERY_COATING].tolist()
-    gels = [Gel(), *(Gel(t, coating_m=c) for t in gel_fit.THICKNESSES_M.tolist() for c in coatings_m)]
+    thicknesses_m = [*gel_fit.THICKNESSES_M.tolist(), np.inf]
+    gels = [Gel(), *(Gel(t, coating_m=c) for t in thicknesses_m for c in coatings_m)]
     models = np.stack([press_balls(gel, ball_m).measure_change(places_m)[::EVERY_DEPTH] for gel in gels])
     models = models.astype(np.float32)
     count = len(profiles.steps)
