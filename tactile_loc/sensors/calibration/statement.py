@@ -212,9 +212,8 @@ def find_other_ball(images: Sequence[BallImage], untouched: Image) -> tuple[tupl
     order = logs.argsort()
     sizes = range(2, len(logs) - 1)
     cut = min(sizes, key=lambda n: n * logs[order[:n]].var() + (len(logs) - n) * logs[order[n:]].var())
-    groups = sorted((order[:cut], order[cut:]), key=len)
-    larger = float(np.exp(logs[groups[1]].mean() - logs[groups[0]].mean()))
-    return tuple(sorted(groups[0].tolist())), larger
+    rare, usual = sorted((order[:cut], order[cut:]), key=len)
+    return tuple(sorted(rare.tolist())), float(np.exp(logs[rare].mean() - logs[usual].mean()))
 
 
 def _measure_factors(images: Sequence[BallImage], untouched: Image) -> Floats:
