@@ -128,7 +128,7 @@ def read_brightness(path: Path) -> NDArray[Any]:
 
 
 def load_image(path: Path | IO[bytes], mode: str | None = None) -> tuple[str, NDArray[Any]]:
-    """Return the mode and the values of an image file, converted to Pillow's `mode` if `mode` is given.
+    """Return the mode and the values (H, W) or (H, W, C) of an image file, converted to Pillow's `mode` if given.
 
     The image is turned as its EXIF data state, like in any viewer. A palette is replaced by its colours. Raises OSError
     when the file cannot be read, and ValueError when it is damaged, too large, or has several pages.

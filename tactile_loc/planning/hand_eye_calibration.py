@@ -274,6 +274,7 @@ class _Registration:
         return agrees & (chi2 < TRUSTED * estimate_typical_variance(chi2))
 
     def predict(self, X: Floats, Y: Floats) -> Poses:
+        """Return the object's poses (N, 4, 4), metres, in the sensor frames of the touches, given X and Y (4, 4)."""
         return predict(self.given.T_base_flange, X, Y)
 
     def compute_imprint_ious(self, X: Floats, Y: Floats) -> Floats:

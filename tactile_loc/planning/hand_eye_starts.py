@@ -112,6 +112,7 @@ class _Nodes:
 
     @classmethod
     def of(cls, T_base_flange: Poses, hypotheses: Sequence[Poses], metric: PoseMetric) -> _Nodes:
+        """Make the nodes of touches at flange poses (N, 4, 4), each with its hypotheses (K, 4, 4), metres."""
         S = metric.object.symmetry.list_elements(TURN_RAD)
         most = max(1, MOST_SEEN // (len(S) * len(hypotheses)))
         poses = [(some[:most, None] @ S).reshape(-1, 4, 4) for some in hypotheses]

@@ -79,7 +79,7 @@ class PoseModes:
 
     @cached_property
     def by_object(self) -> tuple[tuple[ObjectModel, NDArray[np.int64]], ...]:
-        """Each object with the numbers of its modes, the object of the first mode first."""
+        """Each object with the numbers (K,) of its modes, the object of the first mode first."""
         distinct = dict.fromkeys(self.objects)
         return tuple((one, np.flatnonzero([other is one for other in self.objects])) for one in distinct)
 

@@ -115,7 +115,7 @@ class _SharedView:
         return cls(scene, Canvas(view, bounds, PIXELS, EDGE_STEP * size_mm))
 
     def draw_ghosts(self, T_sensor_object: Sequence[Floats]) -> Image:
-        """Return a picture of the first sensor and the object at each pose, seen through."""
+        """Return a picture of the first sensor and the object at each pose (4, 4), metres, seen through."""
         first = self.scene.sensors[:1]
         image = self._draw([], first)
         for ghost in map_in_threads(lambda T: self._draw([T], first), T_sensor_object[::-1]):

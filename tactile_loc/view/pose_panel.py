@@ -58,7 +58,7 @@ def choose_view(mesh: TriangleMesh, T: Floats, elevation_deg: float = Viewpoint.
 
 
 def fit_bounds(view: Viewpoint, surfaces: Sequence[Floats], margin: float, top_margin: float) -> Bounds:
-    """Return the borders of a picture that shows all surfaces, mm. Margins are shares of the longer side."""
+    """Return the borders, mm, of a picture of surfaces (F, 3, 3), mm. Margins are shares of the longer side."""
     flat = np.concatenate([view.project(triangles).reshape(-1, 2) for triangles in surfaces])
     (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
     side = max(right - left, top - bottom)

@@ -124,7 +124,7 @@ class _Search:
         return group
 
     def is_symmetry(self, axis: Floats, angle_rad: float) -> bool:
-        """Return whether a rotation maps the surface onto itself, within the tolerance."""
+        """Return whether a rotation about an axis (3,) maps the surface onto itself, within the tolerance."""
         return self._is_nearly_symmetry(axis, angle_rad) and self._has_no_feature(axis, angle_rad)
 
     def _is_nearly_symmetry(self, axis: Floats, angle_rad: float) -> bool:

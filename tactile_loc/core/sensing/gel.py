@@ -166,7 +166,7 @@ make_solver = lru_cache(maxsize=32)(GelSolver)
 
 
 def compute_compliance(q: Floats, gel: Gel) -> Floats:
-    """Return the compliance times the shear modulus, metres, of a bonded layer at wave numbers `q`, rad/m.
+    """Return the compliance times the shear modulus (...), metres, of a bonded layer at wave numbers (...), rad/m.
 
     Carbone and Mangialardi (2008), equation A.30, with exponentials that do not overflow.
     """
@@ -180,7 +180,7 @@ def compute_compliance(q: Floats, gel: Gel) -> Floats:
 
 
 def compute_smoothing(q: Floats, gel: Gel) -> Floats:
-    """Return the displacement below the coating as a share of the surface's, at wave numbers `q`, rad/m.
+    """Return the displacement below the coating as a share (...) of the surface's, at wave numbers (...), rad/m.
 
     It is that in a half-space under normal pressure: Johnson, Contact Mechanics (1985), section 3.2, transformed.
     """

@@ -98,7 +98,7 @@ def settle(right: float, another: float, missed: float, near: Bools, ties: int) 
 def spread_outcome(
     hypotheses: Sequence[Hypothesis], near: Bools, outcome: Outcome
 ) -> tuple[tuple[Hypothesis, ...], float]:
-    """Return K hypotheses with the probabilities of `share_outcome`, and the probability that none is right."""
+    """Return K hypotheses with the probabilities (K,) of `share_outcome`, and the probability that none is right."""
     p, missed = share_outcome(np.array([h.probability for h in hypotheses]), near, outcome)
     return tuple(replace(h, probability=share) for h, share in zip(hypotheses, p.tolist(), strict=True)), missed
 

@@ -187,7 +187,7 @@ def _build_ramps(x: Array, y: Array, values: Array) -> Array:
 
 
 def find_rim(change: Float32, near: Circle) -> Circle:
-    """Return the circle near `near` along which the colour change drops most steeply outwards.
+    """Return the circle near `near` along which the colour change (H, W, 3) drops most steeply outwards.
 
     Only features narrower than SKIRT radii count. The change also fades slowly outside a contact, but this slow drop
     does not show the contact's edge.
