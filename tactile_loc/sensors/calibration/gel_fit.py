@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from tactile_loc.core.geometry.rigid import Float32
@@ -31,11 +32,13 @@ DEPTHS = np.linspace(0.12, 1.22, 171) ** 2  # in radii of the ball; the contacts
 EVERY = 5  # each of these depths is solved; the surfaces between are interpolated
 PIXELS, WIDTH = 144, 5.2  # pixels along a side of the window in which balls are pressed, and its width in radii
 SOLVED = 12  # iterations of the solver
-THICKNESSES_M = 1e-3 * np.geomspace(1.5, 24.0, 9)  # tried, before the least is interpolated
+THICKNESSES_M = 1e-3 * np.geomspace(1.5, 24.0, 9)  # tried; errors of gels between them are interpolated
 COATINGS_M = 1e-3 * np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
 SURE = 0.02  # standard deviation of the contact's share of the circle, at least
 DETERMINED = 0.85  # largest radius of a contact that shows the press depth, in radii of the ball
 NEVER = 1e3  # height beside a ball, in its radii, that no press reaches
+VALUES = 3  # independent values in a profile: its rise, its peak and its fall; neighbouring distances are alike
+FINE = 65, 49  # interpolated thicknesses and coatings
 FEWEST = 3  # presses
 REACH = np.arange(0.15, 3.01, 0.05)  # distances from a circle's centre at which colours are compared, in radii
 ANGLES = 120  # compared directions, an even number
@@ -176,6 +179,7 @@ class BallImage(NamedTuple):
 class GelFit:
     """A gel's effective thickness with its standard deviation, and its coating, metres.
 
+    The standard deviation has two parts: other thicknesses that explain the same presses, and other presses.
     `contact` is the contact's radius as a share of the visible circle's radius (median over the presses), and
     `contacts` has this share for each press. `rms` is the difference between seen and modelled profiles, as a share of
     the profiles; `rigid_rms` is that of a rigid gel.
@@ -232,12 +236,12 @@ def fit_gel(images: Sequence[BallImage], untouched: Image, progress: Progress | 
             for column, coating_m in enumerate(COATINGS_M):
                 errors[row, column], _ = _compare(profiles, Gel(float(one_m), coating_m=float(coating_m)))
             advance(1)
-    mean = errors.mean(axis=2)
-    row, column = divmod(int(mean.argmin()), len(COATINGS_M))
-    coating_m = float(np.clip(_find_least(COATINGS_M, mean[row]), 0, COATINGS_M[-1]))
-    best_m = float(np.exp(_find_least(np.log(THICKNESSES_M), mean[:, column])))
-    each = [_find_least(np.log(THICKNESSES_M), errors[:, column, press]) for press in range(len(profiles))]
-    std_m = best_m * float(np.std(each, ddof=1)) / np.sqrt(len(each))
+    log_m, coating_m, unknown = _weigh_gels(errors)
+    count = len(profiles)
+    without = np.array([_weigh_gels(np.delete(errors, press, axis=2))[0] for press in range(count)])
+    varied = float(np.sqrt((count - 1) * without.var()))  # the jackknife's standard deviation
+    best_m = float(np.exp(log_m))
+    std_m = best_m * float(np.hypot(unknown, varied))
     final, shares = _compare(profiles, Gel(best_m, coating_m=coating_m))
     rigid, _ = _compare(profiles, Gel())
     contacts = _smooth_shares(images, np.array(usable), shares)
@@ -303,9 +307,19 @@ def _compare(profiles: Sequence[tuple[BallImage, Floats]], gel: Gel) -> tuple[Fl
     return np.array(errors), np.array(contacts)
 
 
-def _find_least(values: Floats, errors: Floats) -> float:
-    """Return the value with the least error: the vertex of a parabola through the three least values."""
-    k = int(np.clip(errors.argmin(), 1, len(values) - 2))
-    a, b, _ = np.polyfit(values[k - 1 : k + 2], errors[k - 1 : k + 2], 2)
-    vertex = -b / (2 * a) if a > 0 else values[errors.argmin()]
-    return float(np.clip(vertex, values[0], values[-1]))
+def _weigh_gels(errors: Floats) -> tuple[float, float, float]:
+    """Return a gel from the errors (T, C, N) of profiles by THICKNESSES_M and COATINGS_M.
+
+    The result is the mean logarithm of the thickness, metres, the mean coating, metres, and the standard deviation of
+    that logarithm. A profile counts as VALUES values with normal errors of unknown size, so the likelihood of a gel is
+    its mean error to the power of -VALUES N / 2. Thick gels explain the profiles almost equally well.
+    """
+    logs = np.log(THICKNESSES_M)
+    spline = RectBivariateSpline(logs, COATINGS_M, np.log(errors.mean(axis=2)), kx=2, ky=2)
+    log_m, coating_m = np.linspace(logs[0], logs[-1], FINE[0]), np.linspace(0, COATINGS_M[-1], FINE[1])
+    missed = spline(log_m, coating_m)
+    weights = np.exp(-0.5 * VALUES * errors.shape[2] * (missed - missed.min()))
+    weights /= weights.sum()
+    by_thickness = weights.sum(axis=1)
+    mean = float(by_thickness @ log_m)
+    return mean, float(weights.sum(axis=0) @ coating_m), float(np.sqrt(by_thickness @ (log_m - mean) ** 2))

@@ -19,7 +19,7 @@ from tactile_loc.sensors.calibration.labels import Chosen, Image, LabelledPresse
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator, make_estimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
-from tactile_loc.sensors.reading.passport import ASPECT, Examination, measure_usual
+from tactile_loc.sensors.reading.passport import ASPECT, EQUAL_SCALES, Examination, measure_usual
 from tactile_loc.sensors.reading.passport import FEWEST as FEWEST_CHECKED
 from tactile_loc.sensors.reading.reading import find_worst, measure_health, read_gel
 from tactile_loc.slots.encoder import Checkpoints
@@ -252,7 +252,7 @@ def _check_presses(presses: PressFolder, estimator: GelEstimator) -> dict[str, f
     some = np.array([presses.images[n] for n in balls[:: -(-len(balls) // MOST_CHECKED) or 1]])
     if len(some) < FEWEST_CHECKED or estimator.read(some[0])[1] is None:
         return {}
-    # The aspect of a ball's imprint in stretched photos is no usual one, so that the checks report it.
-    stretch = presses.stretch
-    aspect = {ASPECT: math.log(stretch.ratio)} if stretch is not None and stretch.is_clear else {}
-    return measure_usual(Examination(estimator, UntouchedGel.of(presses.background), some, aspect))
+    usual, stretch = measure_usual(Examination(estimator, UntouchedGel.of(presses.background), some)), presses.stretch
+    if stretch is not None and stretch.is_clear:  # a stretched imprint is not usual, so that the checks report it
+        usual |= {ASPECT: usual.get(ASPECT, 0.0) - math.log(stretch.ratio), EQUAL_SCALES: 0.0}
+    return usual

@@ -29,6 +29,7 @@ STUCK = 15  # least deviation of a dead pixel from the pixels around it, counts
 EXPLAINED = 8.0  # largest mean difference of a gel that a turn explains, counts
 LIKE_BALL, CLEAR = 0.75, 8.0  # least likeness and contrast, counts, of a touch in the zero image
 ASPECT, CURVATURE = "aspect", "curvature"  # values of the calibration that checks compare with
+EQUAL_SCALES = "equal scales"  # name of a check
 MARGIN = 2.0  # least ratio of a faulty value to that of the calibration
 SMALL = 0.35  # largest radius of that touch, share of the image's shorter side
 
@@ -308,7 +309,7 @@ CHECKS = (
                 True, _add_gel),
     SensorCheck("sign of the imprints", _measure_bulge, 0.4, "times", "presses are read as bulges",
                 "check the order of the colours, and whether the image is mirrored", True),
-    SensorCheck("equal scales", lambda seen: abs(_measure_aspect(seen)), 0.06, "",
+    SensorCheck(EQUAL_SCALES, lambda seen: abs(_measure_aspect(seen)), 0.06, "",
                 "a ball's imprint is {percent:.0f} % {longer}, so x and y have different scales",
                 "correct the scales in sensor.toml, or the camera's image size", True, _stretch_slopes),
     SensorCheck("zero image", _measure_touch, 5e-5, "m", "the zero image shows a touch",

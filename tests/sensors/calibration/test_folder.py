@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from kill_steps import killed_at_every_step
 from message_helpers import missing, naming
+from photo_helpers import MAPS, PX, photograph
 from PIL import Image
 from press_sets import TINY, ball_set, sensor, write_image
 
 from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, OutputError, TouchError, WeightsError
+from tactile_loc.core.sensing.gel import RIGID
 from tactile_loc.io.sensor_files import CALIBRATION, write_sensor_file
 from tactile_loc.sensors.calibration import folder as module
 from tactile_loc.sensors.calibration.folder import (
@@ -25,9 +27,11 @@ from tactile_loc.sensors.calibration.folder import (
     require_replaceable,
     write_calibration,
 )
-from tactile_loc.sensors.reading.estimator import GelEstimator, make_estimator
+from tactile_loc.sensors.calibration.outcome import calibrate_folder
+from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator, make_estimator
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 from tactile_loc.store import files
+from tactile_loc.store.store import StageStore
 
 BALLS = ball_set(1)
 MASK = np.tri(64, dtype=bool)
@@ -241,3 +245,31 @@ def test_an_unfit_image_of_the_untouched_gel_is_named(folder, tmp_path):
         zero = tmp_path / "none.png" if image is None else write_image(tmp_path / "photo.png", image)
         with pytest.raises(TouchError, match=naming(zero, "`zero`", *words)):
             read_calibration(folder, zero)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MAPS)
+def test_a_sensor_with_a_map_reads_photos_as_well_as_a_straight_one(tmp_path, name):
+    photo_map, balls = MAPS[name], ball_set(20, px=PX)
+    new = ball_set(4, px=PX, seed=3)
+    errors = []
+    for known in (None, photo_map):
+        folder = balls.write(tmp_path / ("straight" if known is None else "mapped"))
+        if known is not None:
+            for path in folder.glob("*.png"):
+                write_image(path, photograph(np.asarray(Image.open(path)), known))
+            write_sensor_file(folder / "sensor.toml", balls.geometry, known)
+        recipe = EstimatorRecipe("photometric", {**TINY, "steps": 1000})
+        outcome = calibrate_folder(folder, folder / "sensor.toml", recipe, store=StageStore(tmp_path / "store"))
+        sensor = read_calibration(outcome.write(tmp_path / f"sensor-{known is None}"))
+        assert sensor.photo_map == known
+        photos = new.images if known is None else [photograph(image, known) for image in new.images]
+        off = [sensor.read_indentation(photo, RIGID) for photo in photos] - new.indentation_m
+        errors.append(float(np.sqrt(np.mean(off**2))))
+    assert errors[1] < 1.2 * errors[0] + 2e-6
+    image = sensor.rectify(photos[0])
+    assert image.shape == (PX, PX, 3)
+    assert np.abs(image.astype(float) - new.images[0])[photo_map.seen].mean() < 2
+    assert sensor.rectify(sensor.background) is sensor.background or photo_map.photo_px == (PX, PX)
+    with pytest.raises(TouchError):
+        sensor.read(photos[0][:50])

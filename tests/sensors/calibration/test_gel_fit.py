@@ -112,3 +112,30 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fi
         flat_m = read(shapes / f"prism_{press}_real.png")[tip]
         assert flat_m.mean() == pytest.approx(press_m, rel=0.05, abs=7e-5)
         assert flat_m.std() < 4.5e-5
+
+
+def make_errors(sharp: float, number: int = 10) -> np.ndarray:
+    """Errors of profiles (T, C, N) with their least at 6 mm and 0.2 mm; `sharp` is their rise with the thickness."""
+    off = sharp * np.log(gel_fit.THICKNESSES_M / 6e-3)[:, None] ** 2 + (gel_fit.COATINGS_M / 2e-4 - 1)[None] ** 2
+    shares = np.random.default_rng(0).uniform(0.9, 1.1, number)
+    return 1e-3 * (1 + off)[..., None] * shares
+
+
+def test_the_stated_deviation_is_that_of_the_thicknesses_that_explain_the_presses():
+    log_m, coating_m, std = gel_fit._weigh_gels(make_errors(2.0))
+    assert math.exp(log_m) == pytest.approx(6e-3, rel=0.1)
+    assert coating_m == pytest.approx(2e-4, rel=0.1)
+    least_m, most_m = gel_fit.THICKNESSES_M[[0, -1]]
+    off = np.log(np.geomspace(least_m, most_m, 1001) / 6e-3)
+    weights = (1 + 2 * off**2) ** -14.5  # 3 values of 10 presses; the sum over the coatings adds half a power
+    assert std == pytest.approx(math.sqrt((weights @ off**2) / weights.sum()), rel=0.1)
+    wide = gel_fit._weigh_gels(make_errors(0.0))[2]
+    assert wide == pytest.approx(math.log(most_m / least_m) / math.sqrt(12), rel=0.05)  # of an even distribution
+
+
+def test_halves_of_the_presses_agree_within_their_stated_deviations():
+    presses = [draw_press(Gel(5e-3), number) for number in range(8)]
+    halves = [fit_gel(presses[start::2], UNTOUCHED) for start in (0, 1)]
+    one, other = (fit for fit in halves if fit is not None)
+    assert abs(one.thickness_m - other.thickness_m) < 2 * math.hypot(one.std_m, other.std_m)
+    assert abs(one.thickness_m - 5e-3) < 2 * one.std_m

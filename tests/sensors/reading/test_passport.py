@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from press_sets import TINY, ball_set
+from photo_helpers import MAPS, photograph
+from PIL import Image
+from press_sets import TINY, ball_set, write_image, write_table
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc import EstimatorRecipe, StageStore, calibrate_folder
 from tactile_loc.core.runtime.errors import CalibrationError, TouchError
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.folder import CHECKED, Calibration, read_calibration
 from tactile_loc.sensors.reading.passport import CHECKS, examine_photos
 
@@ -108,3 +111,21 @@ def test_a_sensor_without_slopes_has_no_checks(sensor, monkeypatch):
     monkeypatch.setattr(type(blind.estimator), "read", lambda self, image: (image[..., 0] * 0.0, None))
     with pytest.raises(CalibrationError):
         blind.examine(PHOTOS)
+
+
+def test_photos_that_were_stretched_at_the_calibration_are_named(tmp_path):
+    stretched = MAPS["stretched"]
+    folder = BALLS.write(tmp_path / "presses")
+    for path in folder.glob("*.png"):
+        write_image(path, photograph(np.asarray(Image.open(path)), stretched))
+    rows = BALLS.rows()
+    for row in rows[1:]:
+        row |= {"center_x_px": 1.2 * row["center_x_px"], "radius_px": 1.2**0.5 * row["radius_px"]}
+    write_table(folder, rows)
+    square = SensorGeometry("orthographic", 96, 80, 5e3, 5e3, 48, 40, 0.01, 1.5e-3)
+    recipe = EstimatorRecipe("photometric", {**TINY, "steps": 500})
+    outcome = calibrate_folder(folder, square, recipe, store=StageStore(tmp_path / "store"))
+    assert outcome.presses.stretch.ratio == pytest.approx(1.2, rel=0.03)
+    assert outcome.presses.stretch.describe() in outcome.facts[0]
+    sensor = read_calibration(outcome.write(tmp_path / "sensor"))
+    assert faults(sensor, [photograph(photo, stretched) for photo in PHOTOS]) == ["equal scales"]
