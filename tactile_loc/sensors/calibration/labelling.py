@@ -21,6 +21,7 @@ from tactile_loc.sensors.reading.rectification import SeenView, StatedView, see_
 from tactile_loc.store.files import write_atomically
 
 SAME_SCALE = 1e-6
+EVENED = 0.01  # largest relative change of the scale when photos are rectified to whole pixels
 ROUNDS = 2  # times that photos are rectified as they show; the second time, circles are found in even photos
 SHALLOWEST_MM = 0.05  # least depth of the deepest press; a smaller depth shows that the ball's radius is wrong
 
@@ -151,8 +152,9 @@ def _count_unlisted(folder: Path, ball_radius_mm: float) -> int:
 
 def _read_scale(file: Path, mm_per_px: float | None) -> float:
     """Return the pixel size from the sensor's file, in mm. Raises ConfigError if `mm_per_px` differs."""
-    scale = 1e3 * read_camera(file)[0].pixel_pitch_m
-    if mm_per_px is not None and not math.isclose(scale, mm_per_px, rel_tol=SAME_SCALE):
+    camera, photo_map = read_camera(file)
+    scale, close = 1e3 * camera.pixel_pitch_m, SAME_SCALE if photo_map is None else EVENED
+    if mm_per_px is not None and not math.isclose(scale, mm_per_px, rel_tol=close):
         raise ConfigError(
             f"`mm_per_px` is {mm_per_px:g}, but {file} has {scale:.6g}; correct one, or remove the file to write it "
             "again"

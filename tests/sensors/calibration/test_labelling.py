@@ -97,6 +97,8 @@ def test_stretched_photos_are_evened_and_named_first(photos):
     assert len(presses) == 7
     assert presses.stretch is not None
     assert not presses.stretch.is_clear
+    again = label_presses(photos, None, RADIUS_MM, MM_PER_PX)
+    assert (again.found, again.unlisted) == (None, 0)
 
 
 @pytest.mark.parametrize("name", MAPS)
