@@ -21,7 +21,7 @@ from real_images import SETS, read
 
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.frames import PressImage
-from tactile_loc.sensors.calibration.labels import STEEPEST, Chosen
+from tactile_loc.sensors.calibration.labels import Chosen
 from tactile_loc.sensors.calibration.outcome import measure_press, split
 from tactile_loc.sensors.calibration.presses import PressFolder
 from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
@@ -79,12 +79,11 @@ def compare(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str,
     found = find(presses, name)
     seconds = (time.perf_counter() - start) / len(presses)
     used = {press.name: press.circle for press in found.used}
-    largest = STEEPEST * SETS[name][1] / SETS[name][2] - 0.01
     by_hand = list_circles(presses)
     ours = np.full_like(by_hand, np.nan)
     for number, row in enumerate(presses.rows):
         if (circle := used.get(row.image.name)) is not None:
-            ours[number] = circle.x_px, circle.y_px, min(circle.radius_px, largest)
+            ours[number] = circle.x_px, circle.y_px, circle.radius_px
     known = ~np.isnan(ours).any(axis=1)
     off = (ours - by_hand)[known]
     offset = np.median(off[:, :2], axis=0)

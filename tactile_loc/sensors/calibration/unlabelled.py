@@ -31,7 +31,8 @@ from tactile_loc.sensors.reading.markers import UntouchedGel
 BLURRED = 0.45  # least likeness of a ball's imprint if there is a second ball in the image
 SECOND = 0.35  # least contrast of a second ball, share of the first ball's contrast
 APART = 2.2  # radius of the area that belongs to an imprint, in radii of the imprint
-OUTSIDE = 0.1  # largest part of a circle's radius that may lie beyond the image's border
+OUTSIDE, CUT = 0.1, 0.6  # part of a circle's radius beyond the border at which it counts as cut, and the largest part
+SETTLED = 0.13  # largest distance between the rim's centre and the imprint's in a cut circle, in radii
 EXPOSED, MOST_EXPOSED = 253, 0.25  # least count of a saturated value, and largest share of such values in a circle
 OVERSIZED = "imprint larger than the ball"
 
@@ -155,13 +156,15 @@ def _judge(frame: PressImage, image: Image, reference: Float32, gel: UntouchedGe
     if imprint.likeness < LIKENESS:
         return FoundPress(frame, None, "no ball found")
     circle = find_rim(change, imprint.circle)
+    cut = circle.measure_overhang_px(image.shape[:2]) / circle.radius_px
+    moved_px = np.hypot(circle.x_px - imprint.circle.x_px, circle.y_px - imprint.circle.y_px)
+    if cut > CUT or (cut > OUTSIDE and moved_px > SETTLED * circle.radius_px):
+        return FoundPress(frame, circle, "cut off at the border")
     return FoundPress(frame, circle, _find_fault(image, reference, circle, ball_px))
 
 
 def _find_fault(image: Image, reference: Float32, circle: Circle, ball_px: float | None) -> str:
     """Return the reason why a press with this circle cannot be used, or an empty string."""
-    if circle.measure_overhang_px(image.shape[:2]) > OUTSIDE * circle.radius_px:
-        return "cut off at the border"
     inside = circle.measure_distance_px(image.shape[:2]) < circle.radius_px
     white = (image >= EXPOSED) & (reference < EXPOSED)
     if white[inside].mean() > MOST_EXPOSED:

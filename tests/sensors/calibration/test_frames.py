@@ -89,6 +89,20 @@ def test_bad_images_are_dropped_with_the_reason(with_bad_ones):
     assert len(with_bad_ones.used) == len(PRESSES)
 
 
+def test_a_ball_that_the_border_cuts_is_used_if_its_circle_is_certain():
+    wide = sensor(120, 0.024)  # the gel goes on beyond the image
+    places = [*PLACES.tolist(), (7.2e-3, 1e-3)]
+    balls = gel_under(np.stack([ball_indentation(wide, x, y, 9e-4) for x, y in places]), wide)
+    photos = render_images(balls, wide, OPTICS["gelslim"], np.random.default_rng(0))
+    every = [*photos, render_background(wide, OPTICS["gelslim"])]
+    cropped = [PressImage(f"{n}.png", photo[20:100, 20:100]) for n, photo in enumerate(every)]
+    press = find_presses(cropped, 1e3 * BALL_M / MM_PER_PX).presses[-1]
+    assert press.circle is not None
+    assert press.circle.measure_overhang_px(GEOMETRY.shape) > 0.3 * press.circle.radius_px
+    np.testing.assert_allclose((press.circle.x_px, press.circle.y_px), (76, 45), atol=1.0)
+    assert not press.dropped
+
+
 def textured(shift: int) -> np.ndarray:
     dots = 3 * gaussian_filter(np.random.default_rng(5).normal(0, 25, (100, 120, 1)), (1.5, 1.5, 0))
     return dots[10:90, 10 + shift : 90 + shift]
