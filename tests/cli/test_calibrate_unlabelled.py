@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cli_helpers import Cli, assert_refused, succeed
 from message_helpers import missing
+from photo_helpers import MAPS, photograph
 from PIL import Image
 from press_sets import BALL_M, MM, ball_set, is_same_camera, write_image
 
@@ -94,3 +95,32 @@ def test_another_ball_is_refused_and_unlabelled_photos_are_reported(cli, photos)
     write_image(photos / "new.png", BALLS.images[0])
     done = succeed(cli("calibrate", photos, *BALL, *FEW, "--out", "mine"))
     assert not missing(done.stdout, "presses.csv", 1)
+
+
+def test_each_impossible_view_is_one_sentence(cli, photos):
+    corners = ["--corners", 6, 2, 74, 2, 80, 80, 0, 80]
+    square, turned = ["--gel-size", 16, 16], ["--corners", 6, 2, 0, 80, 80, 80, 74, 2]
+    asked = ["calibrate", photos, *BALL, *FEW]
+    assert_refused(cli(*asked, "--mm-per-px", "0.2,wide"), "--mm-per-px", "0.2,wide")
+    assert_refused(cli(*asked, "--mm-per-px", "0.2,0.2,0.2"), "--mm-per-px")
+    assert_refused(cli(*asked, *SCALE, *corners), "--gel-size")
+    assert_refused(cli(*asked, *SCALE, *corners, *square), "--mm-per-px")
+    assert_refused(cli(*asked, *turned, *square), "clockwise")
+    assert_refused(cli(*asked, "--mm-per-px", "0.2,0.3", "--camera-matrix", "lens.yaml"), "--camera-matrix")
+    assert_refused(cli(*asked, *SCALE, "--camera-matrix", "lens.yaml"), "lens.yaml")
+    Path("lens.yaml").write_text("camera_matrix: [700, 0, 320, 0, 700, 240, 0, 0, 1]")
+    assert_refused(cli(*asked, *SCALE, "--camera-matrix", "lens.yaml"), "320", "80 x 80 px")
+    assert not (photos / "presses.csv").exists()
+
+
+@pytest.mark.slow
+def test_corners_give_a_sensor_with_a_map(cli, photos):
+    for path in photos.glob("*.png"):
+        write_image(path, photograph(np.asarray(Image.open(path)), MAPS["tilted"]))
+    corners = ["--corners", 6, 2, 74, 2, 80, 80, 0, 80, "--gel-size", 16, 16]
+    succeed(cli("calibrate", photos, *BALL, *corners, *FEW, "--out", "mine"))
+    made = read_calibration(Path("mine"))
+    assert made.photo_map is not None
+    assert made.photo_map.corners_px == MAPS["tilted"].corners_px
+    x0, x1, _, _ = made.geometry.view
+    assert x1 - x0 == pytest.approx(16e-3, rel=0.01)

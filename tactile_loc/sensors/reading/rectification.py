@@ -33,7 +33,7 @@ STANDOFF_M, DEEPEST_M = 10e-3, 1.5e-3  # assumed for a sensor of which only the 
 LEAST_MIDDLE = 0.2  # least distance of the optical axis from the border of the photo, share of its side
 STRETCHED = 1.1  # ratio of scales above which photos count as stretched
 LARGEST = 0.5  # largest logarithm of the ratio that is looked for
-SAMPLED = 20  # approximate number of presses from which the ratio is estimated
+SAMPLED = 20  # largest number of presses from which the ratio is estimated
 FEWEST = 3  # presses
 SAME_RATIO = 0.01  # largest logarithm of a ratio that is not corrected again
 BANDS = np.arange(0.3, 1.3, 0.05), np.arange(0.7, 1.35, 0.05)  # compared distances from a ball's centre, in radii
@@ -138,7 +138,7 @@ def measure_stretch(presses: Sequence[tuple[Image, Circle]], untouched: Image) -
     except for its strength. In a stretched photo, the profiles differ in length. The profiles in the BANDS differ by
     the errors of this assumption. Return None for fewer than FEWEST imprints in the image.
     """
-    some = presses[:: max(1, len(presses) // SAMPLED)]
+    some = presses[:: max(1, -(-len(presses) // SAMPLED))]
     found = np.array([_find_stretches(image, circle, untouched) for image, circle in some]).reshape(-1, len(BANDS))
     known = found[np.isfinite(found).all(axis=1)]
     if len(known) < FEWEST:
@@ -290,7 +290,7 @@ def see_view(
     sensor for photos that are not rectified. Marker dots show the whole view, if they are a square lattice in which
     balls are round. Otherwise, balls show the ratio of the scales of x and y.
     """
-    some = presses[:: max(1, len(presses) // SAMPLED)]
+    some = presses[:: max(1, -(-len(presses) // SAMPLED))]
     stretch = measure_stretch([(gel.clear_image(image), circle) for image, circle in some], gel.clear)
     photo_px = straight.width_px, straight.height_px
     if before is not None:
