@@ -139,6 +139,7 @@ def calibrate(
     if folder is None:
         return _calibrate_simulated(sensor, optics, presses, recipe, out, store)
     labels: dict[str, Any] = {}
+    doubts: list[str] = []
     scale, view = _state_view(mm_per_px, corners, gel_size, camera_matrix)
     with tempfile.TemporaryDirectory() as temporary:
         lines, converted = _convert(folder, Path(temporary), ball_radius, scale, view)
@@ -147,10 +148,11 @@ def calibrate(
         else:
             labelled = label_presses(folder, sensor, ball_radius, scale, make_progress(), view)
             more, labels = _describe_labels(labelled, ball_radius)
+            doubts = labelled.list_doubts()
             lines, folder, file = [*lines, *more], labelled.folder, labelled.sensor
         reading = FolderReading(background is Background.MEDIAN, image_size, curved)
         measured = measure_folder(folder, file, seed, reading, make_progress())
-        for line in (*measured.list_doubts(), *lines):
+        for line in (*doubts, *measured.list_doubts(), *lines):
             say(write_flags(line))
         outcome = calibrate_measured(measured, recipe, StageStore(store), make_progress())
         return {**_finish(outcome, out), **labels}

@@ -47,7 +47,7 @@ class MadeSensor:
         """Return the key facts as sentences: doubts, the photos, the gel, and the errors on held-out photos."""
         made, photos = self.outcome, self.labelled.describe()
         errors = [f"{made.title}; mean errors on these:", *(f"  {line}" for line in made.list_errors())]
-        return [*made.doubts, *photos, *made.facts, *errors]
+        return [*self.labelled.list_doubts(), *made.doubts, *photos, *made.facts, *errors]
 
     def pack(self) -> bytes:
         """Return a zip archive of the calibration folder, and of the labels from which it was made."""

@@ -42,6 +42,10 @@ class LabelledFolder:
     unlisted: int = 0
     view: SeenView | None = None
 
+    def list_doubts(self) -> list[str]:
+        """Return a sentence about the view, if it is not the stated one."""
+        return [] if self.view is None else [self.view.says]
+
     def describe(self) -> list[str]:
         """Return sentences about the images, the images that are not used, and the press depths."""
         if self.found is None:
@@ -53,8 +57,7 @@ class LabelledFolder:
         if found.drift is not None:
             gel += f" ({found.untouched_names[0]}; since then {found.drift.describe()}; corrected in {UNTOUCHED})"
         dropped = [f"  not used: {press.name}: {press.dropped}" for press in found.presses if press.dropped]
-        view = [] if self.view is None else [self.view.says]
-        lines = [*view, f"images: {len(found.used)} with a ball, {gel}", *dropped]
+        lines = [f"images: {len(found.used)} with a ball, {gel}", *dropped]
         if self.depths_mm is not None:
             depths = f"{self.depths_mm[0]:.2f} to {self.depths_mm[1]:.2f} mm"
             lines.append(f"press depths, estimated from the circles: {depths}; check that they are plausible")

@@ -129,18 +129,17 @@ class PressFolder(LabelledPresses):
         }
 
     def list_doubts(self) -> list[str]:
-        """Return sentences about the balls and the scale, if they cannot be as stated."""
+        """Return sentences about the balls and the scales, if they cannot be as stated."""
         balls = self.list_balls()
         if not balls:
             return []
+        scales = [] if self.stretch is None else self.stretch.list_doubts(self.camera)
         names, ball_mm = [self.name(number) for number in balls], 1e3 * self.read_ball(balls[0]).ball_m
-        return self.statement.list_doubts(names, ball_mm, 1e3 * self.camera.pixel_pitch_m)
+        return [*scales, *self.statement.list_doubts(names, ball_mm, 1e3 * self.camera.pixel_pitch_m)]
 
     def list_facts(self) -> list[str]:
         """Return sentences about deep presses, the ball, and the gel: its surface, its elasticity, its dots."""
         facts, relief_m = [*self._list_deep(), *self.statement.list_facts()], self.geometry.relief_m
-        if self.stretch is not None and self.stretch.is_clear:
-            facts.append(f"the scales of x and y differ: {self.stretch.describe()}; {self.stretch.advise(self.camera)}")
         if relief_m is not None:
             facts.append(f"the gel is curved: its edge is up to {-1e3 * relief_m.min():.2f} mm lower than its top")
         if self.fit is not None:

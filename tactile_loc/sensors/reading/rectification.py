@@ -120,6 +120,10 @@ class Stretch:
         """Whether the photos are stretched beyond doubt."""
         return abs(np.log(self.ratio)) > np.log(STRETCHED) + self.std / self.ratio
 
+    def list_doubts(self, camera: SensorGeometry) -> list[str]:
+        """Return a sentence about the scales of a camera with square pixels, if the photos are stretched."""
+        return [f"the scales of x and y differ: {self.describe()}; {self.advise(camera)}"] if self.is_clear else []
+
     def advise(self, camera: SensorGeometry) -> str:
         """Return the scales of x and y that even photos whose mean scale is that of `camera`."""
         pitch_mm = 1e3 * camera.pixel_pitch_m

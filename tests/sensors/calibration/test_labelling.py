@@ -84,7 +84,7 @@ def test_stretched_photos_are_evened_and_named_first(photos):
         write_image(path, photograph(np.asarray(Image.open(path)), MAPS["stretched"]))
     labelled = label_presses(photos, None, RADIUS_MM, MM_PER_PX)
     assert labelled.view is not None
-    assert labelled.describe()[0] == labelled.view.says
+    assert labelled.list_doubts() == [labelled.view.says]
     assert labelled.view.aspect == pytest.approx(1.2, rel=0.02)
     assert labelled.found is not None
     camera, photo_map = read_camera(labelled.sensor)

@@ -126,6 +126,6 @@ def test_photos_that_were_stretched_at_the_calibration_are_named(tmp_path):
     recipe = EstimatorRecipe("photometric", {**TINY, "steps": 500})
     outcome = calibrate_folder(folder, square, recipe, store=StageStore(tmp_path / "store"))
     assert outcome.presses.stretch.ratio == pytest.approx(1.2, rel=0.03)
-    assert outcome.presses.stretch.describe() in outcome.facts[0]
+    assert outcome.presses.stretch.describe() in outcome.doubts[0]
     sensor = read_calibration(outcome.write(tmp_path / "sensor"))
     assert faults(sensor, [photograph(photo, stretched) for photo in PHOTOS]) == ["equal scales"]
