@@ -20,7 +20,7 @@ from tactile_loc.locate.result.verdict import Outcome
 Floats = NDArray[np.float64]
 
 LEAST_TOUCHES = 3  # fewer touches may agree on a wrong pose by chance
-SHARED = 0.2  # share of a touch's nats that counts, because touches of one slide have similar errors
+SHARED = 0.3  # share of a touch's nats that counts, because touches of one slide have similar errors
 DRAWS = 256  # poses drawn from a covariance
 
 

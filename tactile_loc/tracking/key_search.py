@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 
 MOST_LISTED = 30  # poses that the next search also refines
 MOST_JUDGED = 10  # of them that are compared with all touches
+DEEPER = 1.5  # times the contact with which a touch replaces one at the same place
 NATS_PER_M = 10.0  # a key touch this far from the others adds as much as a nat against a wrong pose
 
 
@@ -47,27 +48,26 @@ class KeySearch:
     running: Future[Localization | None] | None = None
     due_s: float = 0.0
 
-    def is_new_place(self, touch: Touch) -> bool:
-        """Return whether a touch's sensor pose is far from that of each kept touch."""
+    def find_near(self, touch: Touch) -> list[Touch]:
+        """Return the kept touches at the place of a touch: those whose sensor poses are near."""
         options, T = self.localizer.config.tracker, np.asarray(touch.T_base_sensor)
         gel_m, lever_m = touch.geometry.gel_middle_m, 1e-3 * options.lever_mm
-        return all(
-            measure_motion_m(np.asarray(kept.T_base_sensor), T, gel_m, lever_m) > 1e-3 * options.keyframe_mm
-            for kept in self.touches
-        )
+        motions_m = [measure_motion_m(np.asarray(kept.T_base_sensor), T, gel_m, lever_m) for kept in self.touches]
+        return [kept for kept, m in zip(self.touches, motions_m, strict=True) if m <= 1e-3 * options.keyframe_mm]
 
     def add_new_places(self, touches: Iterable[Touch]) -> KeySearch:
-        """Return the search with those of the touches that are at new places.
+        """Return the search with those of the touches that are at new places, or have far more contact than before.
 
         If these are too many, one of the two nearest is dropped.
         """
-        options, kept = self.localizer.config.tracker, self
+        options, found = self.localizer.config.tracker, self
         for touch in touches:
-            if kept.is_new_place(touch):
-                more = [*kept.touches, touch]
-                more = drop_nearest(more, 1e-3 * options.lever_mm) if len(more) > options.places else more
-                kept = replace(kept, touches=tuple(more))
-        return kept
+            near = found.find_near(touch)
+            if all(touch.contact_share > DEEPER * one.contact_share for one in near):
+                kept = [*(one for one in found.touches if all(one is not other for other in near)), touch]
+                kept = drop_nearest(kept, 1e-3 * options.lever_mm) if len(kept) > options.places else kept
+                found = replace(found, touches=tuple(kept))
+        return found
 
     def restart(self, touches: Sequence[Touch], prior: PosePrior | None = None) -> KeySearch:
         """Return a search of `touches` only; a search that is under way is given up."""

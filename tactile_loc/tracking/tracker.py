@@ -32,6 +32,8 @@ Floats = NDArray[np.float64]
 FITTED_IOU = 0.5  # usual imprint IoU below which a track has never fitted
 MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; then the whole object is searched
 MOST_LOST = 10  # consecutive such touches, after which a search replaces the track even if it is unsure itself
+LATEST = 2  # touches that show whether the object has moved since the others
+LEAST_MANY = 5  # touches of which a few bad ones do not make a poor fit
 LEAST_EXPECTED = 3  # touches where a track expected them, after which it can show a slip
 MOST_WEIGHED = 10  # touches after a slip by which its pose is weighed against the pose without the slip
 JUMPED_NATS = 1.5  # most that a pose far from a slipped one loses, nats, if the slipped one fits worse than usual
@@ -284,12 +286,10 @@ class Tracker:
                 return  # a few bad touches do not end a track
             self._undoubted, unproven = None, worse or len(keys) == 1
         self._modes, self._alike = self._filter.view_from(new, np.asarray(self._T_base_sensor)), 0.0
-        verdict = found.verdict
-        if (
-            verdict is Verdict.POOR_FIT
-            and 2 * len(found.poor_touches) < len(keys)
-            and not found.agreement.contradictory
-        ):
+        latest = max(found.best.imprint_ious[-LATEST:], default=iou)
+        moved = found.agreement.contradictory and latest < self.options.least_iou
+        verdict, few = found.verdict, 2 * len(found.poor_touches) < len(keys) and len(keys) >= LEAST_MANY
+        if verdict is Verdict.POOR_FIT and few and not moved:
             verdict = judge(found.outcome, sure=found.is_sure, least=found.confidence)  # a few of many are bad touches
         unproven |= not np.array_equal(new[0].known.T_base_object, np.asarray(found.T_base_object))
         verdict = Verdict.AMBIGUOUS if unproven and verdict is Verdict.CERTAIN else verdict
@@ -298,7 +298,7 @@ class Tracker:
             self._stayed = None
         if self._trust.settled:
             self._modes = self._modes[:1]
-        elif found.agreement.contradictory:
+        elif moved:
             self._search = self._search.restart(keys[-1:])  # the object has moved since the first key touches
 
     def _list_poses(self) -> Poses:

@@ -33,10 +33,17 @@ NONE = np.empty((0, 4, 4))
 
 
 def test_only_touches_far_from_all_others_are_new_places(pin, touches):
+    touches = [replace(touch, contact_shape=touches[0].contact_shape) for touch in touches]
     search = KeySearch(pin).add_new_places(touches[:2])
     assert search.touches == (touches[0],)
-    assert search.is_new_place(touches[3])
-    assert not search.add_new_places(touches[3:4]).is_new_place(touches[4])
+    assert search.add_new_places(touches[3:5]).touches == (touches[0], touches[3])
+
+
+def test_a_touch_with_far_more_contact_takes_the_place_of_a_light_one(pin, touches):
+    deep, beside = touches[0], replace(touches[1], contact_shape=touches[0].contact_shape)
+    light = replace(deep, contact_shape=deep.contact_shape.press_to(0.2 * deep.press_depth_m))
+    assert KeySearch(pin).add_new_places([light, beside]).touches == (beside,)
+    assert KeySearch(pin).add_new_places([beside, light]).touches == (beside,)
 
 
 def test_of_too_many_touches_one_of_the_two_nearest_is_dropped(pin, touches):
