@@ -262,17 +262,12 @@ def find_press_folders(source: Path) -> PressSet | None:
 
 def find_photos(source: Path) -> PressSet | None:
     """Find a flat folder of photos."""
-    photos = _list_photos(source, 0)
-    return (
-        PressSet("a folder of photos", f"{len(photos)} photos", {path.name: path for path in photos})
-        if photos
-        else None
-    )
+    photos = {path.name: path for path in _list_photos(source, 0)}
+    return PressSet("a folder of photos", f"{len(photos)} photos", photos) if photos else None
 
 
-LAYOUTS: tuple[Callable[[Path], PressSet | None], ...] = (
-    find_gs_sdk, find_taxim, find_py3dcal, find_9dtact, find_table, find_list, find_press_folders, find_photos,
-)  # fmt: skip
+OF_TOOLS = (find_gs_sdk, find_taxim, find_py3dcal, find_9dtact)
+LAYOUTS = (*OF_TOOLS, find_table, find_list, find_press_folders, find_photos)
 
 
 def _list_inside(folder: Path, pattern: str, depth: int = 2) -> list[Path]:
