@@ -51,6 +51,15 @@ def test_more_touches_lower_the_entropy(localizer, touches):
     assert three.posterior.probabilities[truth] > 0.05
 
 
+def test_without_a_search_only_the_given_poses_are_compared(localizer, touches):
+    truth = touches[0].T_sensor_object
+    starts = np.stack([truth, truth @ make_transform(rotation_about([0, 0, 1], 0.3), [5e-3, 0.0, 0.0])])
+    found = localizer.localize(touches, starts=starts, searches=False)
+    every = (*found.hypotheses, *found.unlisted)
+    assert all(np.isclose(starts, one.T_sensor_object_grid).all(axis=(1, 2)).any() for one in every)
+    assert error_m(localizer, found) < 1e-3
+
+
 def test_the_position_of_the_base_does_not_matter(localizer, touches):
     elsewhere = make_transform(rotation_about([0, 1, 0], 2.0), [1.0, 2.0, -3.0])
     moved = [dataclasses.replace(t, T_base_sensor=elsewhere @ t.T_base_sensor) for t in touches]
