@@ -12,6 +12,7 @@ from tactile_loc.core.geometry.rigid import rotation_about
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.reports.page import render
 from tactile_loc.reports.run import find_surface, make_result_page
+from tactile_loc.view.palette import Palette
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +52,13 @@ def test_the_head_shows_names_pose_entropy_error_and_verdict(run_folder, result,
     assert not missing(page.text, result["grid_poses"])
     assert "error" in page.text
     assert not missing(page.text, result["verdict"], Localization.load(run_folder).explain())
+
+
+def test_the_head_begins_with_the_verdict_as_a_badge_in_its_colour(result, page):
+    first, *others = page.named("dd")
+    assert first["class"] == "badge"
+    assert first["style"] == f"background:{Palette.find_verdict(result['verdict'])}"
+    assert not any("class" in attributes for attributes in others)
 
 
 def test_every_candidate_shows_its_shape_and_its_difference(result, page):

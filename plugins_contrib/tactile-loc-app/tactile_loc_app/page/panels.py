@@ -100,7 +100,11 @@ class VisitorPage:
             self.objects = gui.add_dropdown("Object", (*DEMO_OBJECTS, OWN), initial_value=demo)
             unit = config.object.units if demo == OWN else "auto"
             self.units = gui.add_dropdown(
-                "Unit of own files", get_args(Units), initial_value=unit, hint="A STEP file states its own unit."
+                "Unit of own files",
+                get_args(Units),
+                initial_value=unit,
+                visible=demo == OWN,
+                hint="A STEP file states its own unit.",
             )
             self.upload = gui.add_upload_button(
                 "Open your own mesh", hint="An STL, OBJ, PLY or STEP file.", icon="upload", **PLAIN
@@ -142,6 +146,7 @@ class VisitorPage:
                 self.units.value = self.session.localizer.config.object.units
 
     def _upload_object(self) -> None:
+        self.units.visible = True
         self.session.upload_object(*take_upload(self.upload), cast(Units, self.units.value))
         self.objects.value = OWN
         self._show_object()
@@ -160,6 +165,7 @@ class VisitorPage:
         """Take the sensor that the visitor calibrated."""
         self.session.choose_sensor(str(made.folder))
         self.sensors.value = OWN
+        self.sensor_path.value = str(made.folder)  # not shown, because it means nothing to people
         self._show_object()
         self.notices.notify(f"{made.folder.name} is the sensor now", "Go to the tab Locate. Its touches were removed.")
 
