@@ -71,9 +71,11 @@ class StatedView:
             if mm_per_px is not None:
                 raise ConfigError("`corners` and `gel_size` give the size of a pixel; leave out `mm_per_px`")
             corners = np.array(self.corners_px)
+            if not (np.isfinite(corners).all() and 0 < min(self.gel_mm) <= max(self.gel_mm) < np.inf):
+                raise ConfigError("`corners` must be numbers in pixels, and `gel_size` two positive numbers in mm")
             (a, b), (c, d) = corners[2] - corners[0], corners[3] - corners[1]
             area_px = 0.5 * abs(a * d - b * c)
-            pitch_mm = float(np.sqrt(np.prod(self.gel_mm) / area_px))
+            pitch_mm = float(np.sqrt(np.prod(self.gel_mm) / max(area_px, 1.0)))
             width, height = (max(1, round(side / pitch_mm)) for side in self.gel_mm)
             photo_map = PhotoMap(size_px, (width, height), to_corners(corners), self.lens)
             scales = 1e3 * width / self.gel_mm[0], 1e3 * height / self.gel_mm[1]

@@ -109,6 +109,8 @@ def test_an_aspect_gives_even_pixels_of_the_same_area():
         (StatedView(corners_px=MAPS["tilted"].corners_px), 0.2),
         (StatedView(gel_mm=(16.0, 16.0)), None),
         (StatedView(corners_px=MAPS["tilted"].corners_px, gel_mm=(16.0, 16.0)), 0.2),
+        (StatedView(corners_px=MAPS["tilted"].corners_px, gel_mm=(-16.0, 16.0)), None),
+        (StatedView(corners_px=((np.nan, 0.0), (9.0, 0.0), (9.0, 9.0), (0.0, 9.0)), gel_mm=(16.0, 16.0)), None),
         (StatedView(lens=Lens(700.0, 700.0, 320.0, 240.0)), 0.2),
         (StatedView(), None),
     ],
