@@ -4,6 +4,7 @@ Photos are rectified to the same scale everywhere before anything else is done w
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
-from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError, SensorError
 from tactile_loc.core.sensing.photo_map import (
     Corner,
     Lens,
@@ -304,9 +305,8 @@ def see_view(
             return None
         ratio = stretch.ratio * before.aspect
         return _even_view(replace(stretch, ratio=ratio, std=stretch.std * before.aspect), straight)
-    lattice = None if gel.dots is None else fit_lattice(gel.dots, photo_px)
-    if lattice is not None:
-        photo_map = lattice.frame(photo_px)
+    photo_map = None if gel.dots is None else _frame_dots(gel.dots, photo_px)
+    if photo_map is not None:
         ratio, range_ = measure_scales(photo_map)
         round_ = stretch is None or abs(np.log(ratio / stretch.ratio)) < np.log(STRETCHED)
         if round_ and max(ratio, 1 / ratio, range_) > STRETCHED:
@@ -318,6 +318,14 @@ def see_view(
             )
             return SeenView(photo_map.hide_unseen(camera), photo_map, says)
     return _even_view(stretch, straight) if stretch is not None and stretch.is_clear else None
+
+
+def _frame_dots(dots: Dots, photo_px: tuple[int, int]) -> PhotoMap | None:
+    """Return the map that the lattice of the dots shows, or None if its lens does not show the photo's borders."""
+    lattice = fit_lattice(dots, photo_px)
+    with suppress(SensorError):
+        return None if lattice is None else lattice.frame(photo_px)
+    return None
 
 
 def _even_view(stretch: Stretch, straight: SensorGeometry) -> SeenView:

@@ -66,7 +66,13 @@ def test_corners_in_another_order_are_refused(corners):
 def test_a_lens_that_does_not_show_the_corners_is_refused():
     strong = Lens(30.0, 30.0, 40.0, 40.0, (-0.5,))
     with pytest.raises(SensorError):
-        PhotoMap((80, 80), (80, 80), to_corners(UNIT * 80), strong).locate(PLACES)
+        PhotoMap((80, 80), (80, 80), to_corners(80 * UNIT), strong).locate(PLACES)
+
+
+def test_a_lens_that_folds_the_view_beyond_the_corners_is_undone():
+    folding = Lens(40.0, 40.0, 40.0, 40.0, (0.64, -0.44))  # real gels with dots look like this
+    inside = 40 + 40 * np.random.default_rng(0).uniform(-0.7, 0.7, (30, 2))
+    np.testing.assert_allclose(folding.undistort(folding.distort(inside)), inside, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", MAPS)
