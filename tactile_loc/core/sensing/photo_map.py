@@ -60,8 +60,9 @@ class Lens:
                 scaled = np.stack([d * missed[:, 0] - b * missed[:, 1], a * missed[:, 1] - c * missed[:, 0]], axis=1)
                 area = a * d - b * c
                 ideal_px = ideal_px + scaled / area[:, None]
-            found = (np.abs(self.distort(ideal_px) - photo_px).max(axis=1) < SAME_PX) & (area > 0)
-        if not found.all():
+            missed = photo_px - self.distort(ideal_px)
+            mirrored = ((ideal_px - middle) * (photo_px - middle)).sum(axis=1) < 0
+        if not ((np.abs(missed).max(axis=1) < SAME_PX) & (area > 0) & ~mirrored).all():
             raise SensorError("the lens shows no point at the photo's corners; check the camera matrix and distortion")
         return ideal_px
 
