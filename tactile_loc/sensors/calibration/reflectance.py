@@ -3,7 +3,8 @@
 A visible circle is not the contact: a shadow moves its centre and widens it. The reflectance is the change of colour as
 a function of slope and place. It is the same in all presses, so it shows which circles are wrong. Two steps alternate:
 the reflectance is fitted to the slopes under all balls, and each ball is moved until its colours follow the
-reflectance. Pixels far from the fit, such as those in shadow, count little (Geman and McClure, 1987).
+reflectance. Pixels far from the fit, such as those in shadow, count little (Geman and McClure, 1987). Until the last
+round, the reflectance is fitted in the contacts alone, where there are no shadows.
 
 The reflectance is quadratic in the sines of the slope, and its factors are quadratic in place. Flat gel has no change.
 A function with more freedom also fits shadows: it then keeps circles that are too wide.
@@ -28,6 +29,7 @@ from tactile_loc.sensors.calibration.labels import Image
 
 ROUNDS, REWEIGHTED = 4, 4  # of both steps, and of the weights in a fit of the reflectance
 REACH = 2.6  # distance from a circle's centre up to which pixels count, in radii
+INNER = 0.9  # distance from a contact's centre up to which the reflectance is fitted, in radii, until the last round
 EVERY = 3  # each of these rows and columns counts
 SMOOTHING_PX = 1.0  # of the colours, against the camera's noise
 FAR = 2.0  # residual at which a pixel counts a quarter, in standard deviations of the noise
@@ -83,8 +85,8 @@ class SeenBalls:
         for ball, contact in zip(self.images, start, strict=True):
             change = gaussian_filter(compare_colours(ball.image, self.untouched), (SMOOTHING_PX, SMOOTHING_PX, 0))
             presses.append(_Press.of(ball, np.asarray(change, float), contact, self.geometry))
-        for _ in range(ROUNDS):
-            reflectance, noise = _fit_reflectance(presses, gel)
+        for left in reversed(range(ROUNDS)):
+            reflectance, noise = _fit_reflectance(presses, gel, INNER if left else math.inf)
             for press in presses:
                 press.move(reflectance, noise, gel)
         return [BallContact(x, y, math.exp(log_m)) for x, y, log_m in (press.found.tolist() for press in presses)]
@@ -129,6 +131,11 @@ class _Press:
         slopes = np.stack([p, q, p**2, p * q, q**2], axis=1)
         return np.asarray((slopes[:, :, None] * self.place[:, None]).reshape(len(p), -1))
 
+    def is_within(self, reach: float) -> NDArray[np.bool_]:
+        """Mark the pixels (N) within `reach` radii of the contact."""
+        off_m = self.at_m - self.found[:2] / self.per_m
+        return np.asarray(np.hypot(*off_m.T) < reach * math.exp(self.found[2]))
+
     def move(self, reflectance: Floats, noise: float, gel: Gel) -> None:
         """Move the contact by a step of Gauss and Newton towards the colours that a reflectance (K, 3) predicts."""
         off = self._miss(self.found, reflectance, gel)
@@ -149,10 +156,14 @@ class _Press:
         return np.asarray(self.colours - self.measure_terms(contact, gel) @ reflectance)
 
 
-def _fit_reflectance(presses: Sequence[_Press], gel: Gel) -> tuple[Floats, float]:
-    """Return the factors (K, 3) of the reflectance, counts, and the standard deviation of the noise, counts."""
-    terms = np.concatenate([press.measure_terms(press.found, gel) for press in presses])
-    colours = np.concatenate([press.colours for press in presses])
+def _fit_reflectance(presses: Sequence[_Press], gel: Gel, reach: float) -> tuple[Floats, float]:
+    """Return the factors (K, 3) of the reflectance, counts, and the standard deviation of the noise, counts.
+
+    The pixels within `reach` radii of the contacts count.
+    """
+    near = [press.is_within(reach) for press in presses]
+    terms = np.concatenate([one.measure_terms(one.found, gel)[some] for one, some in zip(presses, near, strict=True)])
+    colours = np.concatenate([one.colours[some] for one, some in zip(presses, near, strict=True)])
     weights, noise = np.ones(len(terms)), 1.0
     factors = np.zeros((terms.shape[1], 3))
     for _ in range(REWEIGHTED):
