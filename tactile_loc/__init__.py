@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from tactile_loc.io.streams.recordings import choose_image_topic as choose_image_topic
     from tactile_loc.io.streams.ros_messages import RosPose as RosPose
     from tactile_loc.io.streams.ros_messages import decode_image as decode_image
+    from tactile_loc.io.streams.sensor_tracks import SensorTrack as SensorTrack
     from tactile_loc.io.streams.sensor_tracks import read_sensor_track as read_sensor_track
     from tactile_loc.io.streams.videos import VIDEO_SUFFIXES as VIDEO_SUFFIXES
     from tactile_loc.io.touches import read_touch as read_touch

@@ -40,6 +40,9 @@ Track = Annotated[bool, declare("--track", "Track the object through the rows. D
 Poses = Annotated[
     Path | None, declare("--poses FILE.csv", "Poses of the sensor by time (time_s), in the base frame; with --track.")
 ]
+Turn = Annotated[
+    float, declare("--turn DEG", "Turn of the images about the gel's normal, if the data set has the gel's poses.")
+]
 Out = Annotated[Path, declare("--out FILE.parquet", "Table with the results. Default: located.parquet.")]
 Given = Annotated[
     RunOptions,
@@ -72,6 +75,7 @@ def replay_dataset(
     column: Column = None,
     track: Track = False,
     poses: Poses = None,
+    turn: Turn = 0.0,
     out: Out = Path("located.parquet"),
     store: Store = None,
 ) -> dict[str, Any]:
@@ -80,7 +84,8 @@ def replay_dataset(
     The table has all columns of the data set, and object_pose (x, y, z in metres, and qx, qy, qz, qw, in the sensor's
     frame), object_covariance (36 numbers, in ROS's order), object_probability and object_verdict.
     """
-    from tactile_loc_datasets.episodes import read_episode
+    from tactile_loc_datasets.known_motions import place_sensor
+    from tactile_loc_datasets.readers import read_episode
 
     if out.suffix.lower() != ".parquet":
         raise ConfigError(f"--out {out.name} must end in .parquet; choose another name")
@@ -89,7 +94,10 @@ def replay_dataset(
     rows = read_episode(dataset, episode, column)
     localizer = open_localizer(make_config(given), store)
     tracker = Tracker(localizer) if track else None
-    locator = LiveLocator(localizer, tracker, read_sensor_track(poses) if poses is not None else None)
+    motion = None if poses is None else read_sensor_track(poses)
+    if motion is None and rows.T_base_gel is not None:
+        motion = place_sensor(rows, localizer.sensor.geometry.standoff_m, turn)
+    locator = LiveLocator(localizer, tracker, motion)
     found = locate_rows(rows, locator)
     if all(one.T_sensor_object is None for one in found):
         reason = next((one.says for one in found if one.says), "they show no contact")

@@ -1,5 +1,6 @@
 """`tactile-loc replay-dataset`: the results of simulated touches as columns, and the example of the README."""
 
+import os
 import re
 import subprocess
 import sys
@@ -63,6 +64,9 @@ def test_mistakes_are_one_sentence_and_write_nothing(depths, tmp_path):
 def test_the_example_of_the_readme_runs(tmp_path):
     pages = re.findall(r"```python\n(.*?)```", (Path(__file__).parents[1] / "README.md").read_text(), re.DOTALL)
     (tmp_path / "example.py").write_text("\n".join(pages))
-    done = subprocess.run([sys.executable, "example.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    env = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    done = subprocess.run(
+        [sys.executable, "example.py"], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert "certain" in done.stdout or "ambiguous" in done.stdout

@@ -10,7 +10,8 @@ import pytest
 from conftest import COLUMN, HZ, ROWS, make_images
 from tactile_loc import TactileLocError
 
-from tactile_loc_datasets.episodes import Episode, read_episode
+from tactile_loc_datasets.episodes import Episode
+from tactile_loc_datasets.readers import read_episode
 
 
 def read_levels(episode: Episode) -> list[float]:
