@@ -180,8 +180,10 @@ QUOTES: dict[str, dict[str, Values]] = {
             lambda r: [five_located(r)[1], five_located(r)[3]],
         "With strong noise, {} % are located within 1 mm":
             lambda r: r.at("contacts-strong", 2, "1 mm", "all 14", "3"),
-        "of {} answers with the verdict `certain`, {} were wrong by more than 1 mm": certain_wrong,
+        "Of {} answers with the verdict `certain`, {} were wrong by more than 1 mm": certain_wrong,
         "Locating takes {} to {} ms on two CPU cores": times_together("3"),
+        "two calibrated sensors read the gel's shape to {} mm":
+            lambda r: [r.at("real_images", 1, "shape in the contact", "GelSlim, 320 x 320")[0] / 1000],
     },
     "docs/benchmarks.md": {
         "a second contact reduces the median error from {} to {} mm before refinement": second_contact,

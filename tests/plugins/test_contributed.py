@@ -30,8 +30,8 @@ def site(install_offline) -> Path:
     return install_offline(*(CONTRIBUTED / name for name in DISTRIBUTIONS))
 
 
-def has_components(name: str) -> bool:
-    """Return whether a distribution provides components; otherwise it provides a command."""
+def extends(name: str) -> bool:
+    """Return whether a distribution adds components or commands to tactile-loc."""
     return any(group.startswith("tactile_loc") for group in project(name).get("entry-points", {}))
 
 
@@ -39,14 +39,16 @@ def project(name: str) -> dict:
     return tomllib.loads((CONTRIBUTED / name / "pyproject.toml").read_text())["project"]
 
 
-def require_libraries(name: str) -> None:
-    """Skip the test if a library that a distribution needs besides tactile-loc is not installed."""
+def find_missing(name: str) -> list[str]:
+    """Return the libraries that a distribution needs and that are not installed."""
+    missing = []
     for needed in project(name)["dependencies"]:
         library = re.split(r"[<>=!~ \[;]", needed)[0]
         try:
             version(library)
         except PackageNotFoundError:
-            pytest.skip(f"{name} needs {library}, which is not installed: pip install {library}")
+            missing.append(library)
+    return missing
 
 
 def imported(text: str) -> Iterator[str]:
@@ -76,7 +78,7 @@ def test_contributed_plugins_exist():
 @each
 def test_only_the_public_api_is_imported(name):
     sources = list((CONTRIBUTED / name).rglob("*.py"))
-    assert len(sources) >= 3
+    assert len(sources) >= 2
     assert {str(path): private(path.read_text()) for path in sources if private(path.read_text())} == {}
 
 
@@ -119,9 +121,10 @@ def test_the_example_and_generated_plugins_import_only_the_public_api():
 @each
 def test_each_readme_describes_the_plugin_and_its_installation(name):
     readme = (CONTRIBUTED / name / "README.md").read_text()
-    assert f"pip install -e plugins_contrib/{name}" in readme
+    assert re.search(rf"pip install (-e |\./)plugins_contrib/{name}\b", readme)
     assert project(name)["name"] == name
-    assert has_components(name) or name in project(name)["scripts"]
+    used = "from " + name.replace("-", "_") + " import"
+    assert extends(name) or used in readme or name in project(name)["scripts"]
 
 
 @pytest.mark.slow
@@ -129,21 +132,22 @@ def test_all_are_listed_with_their_distribution(site, tmp_path, run_python):
     listed = run_python(site, tmp_path, "-m", "tactile_loc_cli.main", "plugins")
     assert listed.returncode == 0, listed.stderr
     assert "Error: " not in listed.stdout + listed.stderr
-    for name in filter(has_components, DISTRIBUTIONS):
-        component = name.removeprefix("tactile-loc-")
-        assert re.search(rf"\b{component} +{name} ", listed.stdout), f"{component} of {name}:\n{listed.stdout}"
+    for name in filter(extends, DISTRIBUTIONS):
+        assert f" {name} " in listed.stdout, f"{name}:\n{listed.stdout}"
 
 
 @pytest.fixture(scope="module")
 def own_tests(site, run_own_tests) -> str:
-    """The output of the tests of all plugins."""
-    return run_own_tests(site, {name: CONTRIBUTED / name / "tests" for name in DISTRIBUTIONS})
+    """The output of the tests of all plugins whose libraries are installed."""
+    complete = [name for name in DISTRIBUTIONS if not find_missing(name)]
+    return run_own_tests(site, {name: CONTRIBUTED / name / "tests" for name in complete})
 
 
 @pytest.mark.slow
 @each
 def test_its_own_tests_pass(own_tests, name):
-    require_libraries(name)
+    if missing := find_missing(name):
+        pytest.skip(f"{name} needs libraries that are not installed: pip install {' '.join(missing)}")
     said = [line for line in own_tests.splitlines() if line.startswith((f"FAILED {name}/", f"ERROR {name}/"))]
     assert said == [], own_tests
-    assert len(re.findall(rf"^PASSED {name}/", own_tests, re.MULTILINE)) >= 10, own_tests
+    assert len(re.findall(rf"^PASSED {name}/", own_tests, re.MULTILINE)) >= 5, own_tests

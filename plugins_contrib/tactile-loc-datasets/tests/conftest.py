@@ -96,3 +96,16 @@ def hugging_face() -> datasets.Dataset:
     rows = {key: first[key] + second[key] for key in first} | {"gel": [*make_images(0), *make_images(1)]}
     numbers = {key: datasets.Value("float64" if key == "timestamp" else "int64") for key in first}
     return datasets.Dataset.from_dict(rows, datasets.Features({**numbers, "gel": datasets.Image()}))
+
+
+@pytest.fixture
+def images() -> list[np.ndarray]:
+    """The images (6, 96, 128, 3) of both episodes."""
+    return [make_images(0), make_images(1)]
+
+
+@pytest.fixture
+def film(tmp_path: Path) -> Path:
+    """A video of the first episode."""
+    write_video(tmp_path / "film.avi", make_images(0))
+    return tmp_path / "film.avi"

@@ -7,11 +7,12 @@ from pathlib import Path
 import datasets
 import numpy as np
 import pytest
-from conftest import COLUMN, HZ, ROWS, make_images
 from tactile_loc import TactileLocError
 
 from tactile_loc_datasets.episodes import Episode
 from tactile_loc_datasets.readers import read_episode
+
+COLUMN, HZ, ROWS = "observation.images.gel", 10, 6
 
 
 def read_levels(episode: Episode) -> list[float]:
@@ -20,16 +21,16 @@ def read_levels(episode: Episode) -> list[float]:
 
 @pytest.mark.parametrize("version", ["version_2", "version_3"])
 @pytest.mark.parametrize("number", [0, 1])
-def test_an_episode_of_lerobot_has_the_images_of_its_rows(request, version, number):
+def test_an_episode_of_lerobot_has_the_images_of_its_rows(request, images, version, number):
     episode = read_episode(request.getfixturevalue(version), number)
-    assert read_levels(episode) == pytest.approx(make_images(number).mean(axis=(1, 2, 3)), abs=4)
+    assert read_levels(episode) == pytest.approx(images[number].mean(axis=(1, 2, 3)), abs=4)
     assert episode.table["index"][0] == ROWS * number
     assert (episode.column, len(episode.table)) == (COLUMN, ROWS)
     np.testing.assert_allclose([frame.time_s for frame in episode.read_frames()], np.arange(ROWS) / HZ)
 
 
 @pytest.mark.parametrize("layout", ["disk", "file", "hub"])
-def test_a_hugging_face_data_set_is_read_from_each_layout(hugging_face, tmp_path, layout):
+def test_a_hugging_face_data_set_is_read_from_each_layout(hugging_face, images, tmp_path, layout):
     path = tmp_path / ("gel.parquet" if layout == "file" else "gel")
     if layout == "disk":
         hugging_face.save_to_disk(path)
@@ -39,7 +40,7 @@ def test_a_hugging_face_data_set_is_read_from_each_layout(hugging_face, tmp_path
         hugging_face.to_parquet(file)
     assert len(read_episode(path).table) == 2 * ROWS
     second = read_episode(path, 1)
-    np.testing.assert_array_equal([frame.image for frame in second.read_frames()], make_images(1))
+    np.testing.assert_array_equal([frame.image for frame in second.read_frames()], images[1])
 
 
 def test_depths_are_read_as_depths(tmp_path):
@@ -96,14 +97,14 @@ def test_missing_episodes_and_columns_are_refused(version_3, hugging_face, tmp_p
 
 
 @pytest.mark.parametrize("kind", ["video", "image"])
-def test_a_data_set_that_lerobot_wrote_is_read(tmp_path, kind):
+def test_a_data_set_that_lerobot_wrote_is_read(images, tmp_path, kind):
     library = pytest.importorskip("lerobot.datasets.lerobot_dataset", reason="lerobot is not installed")
     features = {COLUMN: {"dtype": kind, "shape": (96, 128, 3), "names": ["height", "width", "channels"]}}
     made = library.LeRobotDataset.create("me/gel", HZ, features, tmp_path / "gel", use_videos=kind == "video")
     for number in range(2):
-        for image in make_images(number):
+        for image in images[number]:
             made.add_frame({COLUMN: image, "task": "touch"})
         made.save_episode()
     made.finalize()
-    expected = make_images(1).mean(axis=(1, 2, 3))
+    expected = images[1].mean(axis=(1, 2, 3))
     assert read_levels(read_episode(tmp_path / "gel", 1)) == pytest.approx(expected, abs=4)

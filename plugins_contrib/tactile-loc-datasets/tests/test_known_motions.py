@@ -5,13 +5,13 @@ from pathlib import Path
 import datasets
 import numpy as np
 import pytest
-from conftest import HZ, ROWS, make_images, write_video
 from scipy.spatial.transform import Rotation
 from tactile_loc import TactileLocError
 
 from tactile_loc_datasets.known_motions import IMAGES, POSES, TRIAL, VIDEO, place_sensor
 from tactile_loc_datasets.readers import read_episode
 
+HZ, ROWS = 10, 6  # of the videos
 STANDOFF_M, TURN_DEG = 0.012, 90.0
 PLACES_M = np.linspace([0.01, -0.02, 0.005], [0.02, 0.0, 0.006], ROWS)
 TURNS = Rotation.from_euler("xyz", np.linspace([0, np.pi, 0], [0.2, np.pi, 0.9], ROWS))
@@ -24,14 +24,14 @@ def make_gel_poses() -> np.ndarray:
 
 
 @pytest.fixture
-def trial(tmp_path: Path) -> Path:
+def trial(film, tmp_path: Path) -> Path:
     np.save(tmp_path / TRIAL, make_gel_poses())
-    write_video(tmp_path / VIDEO, make_images(0))
+    film.rename(tmp_path / VIDEO)
     return tmp_path
 
 
 @pytest.fixture
-def rounds(tmp_path: Path) -> Path:
+def rounds(images, tmp_path: Path) -> Path:
     """Two rounds, as the set's documentation describes their columns."""
     poses = {"position": PLACES_M.tolist(), "quaternion": TURNS.as_quat().tolist()}
     features = datasets.Features(
@@ -41,22 +41,22 @@ def rounds(tmp_path: Path) -> Path:
             IMAGES: datasets.List(datasets.Image()),
         }
     )
-    rows = {"object_id": [7, 8], POSES: [poses, poses], IMAGES: [list(make_images(0)), list(make_images(1))]}
+    rows = {"object_id": [7, 8], POSES: [poses, poses], IMAGES: [list(of_round) for of_round in images]}
     datasets.Dataset.from_dict(rows, features).to_parquet(tmp_path / "train.parquet")
     return tmp_path
 
 
-def test_a_trial_has_the_frames_and_the_poses_of_the_gel(trial):
+def test_a_trial_has_the_frames_and_the_poses_of_the_gel(trial, images):
     episode = read_episode(trial)
     levels = [frame.image.mean() for frame in episode.read_frames()]
-    assert levels == pytest.approx(make_images(0).mean(axis=(1, 2, 3)), abs=4)
+    assert levels == pytest.approx(images[0].mean(axis=(1, 2, 3)), abs=4)
     np.testing.assert_allclose(episode.times_s, np.arange(ROWS) / HZ)
     np.testing.assert_allclose(episode.T_base_gel, make_gel_poses())
 
 
-def test_a_round_has_the_images_and_the_poses_of_its_touches(rounds):
+def test_a_round_has_the_images_and_the_poses_of_its_touches(rounds, images):
     episode = read_episode(rounds, 1)
-    np.testing.assert_array_equal([frame.image for frame in episode.read_frames()], make_images(1))
+    np.testing.assert_array_equal([frame.image for frame in episode.read_frames()], images[1])
     np.testing.assert_allclose(episode.T_base_gel, make_gel_poses(), atol=1e-12)
     assert episode.table["object_id"][:] == [8] * ROWS
 

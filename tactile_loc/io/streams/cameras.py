@@ -46,15 +46,15 @@ class CameraSettings:
                 if (taken := opened.get(value_id)) != wanted:
                     raise SourceError(
                         f"{about} does not take the {name} {wanted:g}, and has {taken:g} now; give a value that "
-                        "`v4l2-ctl --list-ctrls` allows, or leave it out"
+                        "the camera's driver allows (`v4l2-ctl -L` lists them), or leave it out"
                     )
             is_automatic = opened.get(mode_id) == auto
             automatic += [name] if is_automatic else []
             found[key] = None if is_automatic or opened.get(value_id) in UNKNOWN else opened.get(value_id)
         if automatic:
             log.warning(
-                "%s sets its %s automatically, so the same touch looks different at times; give --exposure and "
-                "--white-balance to `live`",
+                "%s sets its %s automatically, so the same touch looks different at times; fix the exposure and the "
+                "white balance",
                 *(about, " and ".join(automatic)),
             )
         return type(self)(**found)

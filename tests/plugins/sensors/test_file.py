@@ -6,7 +6,7 @@ import pytest
 from message_helpers import naming
 from PIL import Image
 
-from tactile_loc.io.sensor_files import _Orthographic, _Pinhole, read_sensor_file
+from tactile_loc.io.sensor_files import _Orthographic, _Pinhole, read_camera, read_sensor_file
 from tactile_loc.plugin import SensorError, registry
 from tactile_loc.plugins.sensors.file import FileSensor
 
@@ -57,6 +57,9 @@ def test_the_commented_lines_of_the_example_work(tmp_path: Path) -> None:
     curved.write_text(text.replace("# surface =", "surface ="))
     np.save(tmp_path / "my_sensor_surface.npy", np.full((240, 320), -1e-4))
     assert read_sensor_file(curved).relief_m is not None
+    tilted = tmp_path / "tilted.toml"
+    tilted.write_text(text.replace("# photo =", "photo ="))
+    assert read_camera(tilted)[1] is not None
     masked = tmp_path / "masked.toml"
     masked.write_text(text.replace("# mask =", "mask ="))
     assert read_sensor_file(masked).observed is not None
