@@ -31,7 +31,7 @@ from tactile_loc.sensors.calibration.labels import Image, PressLabel
 DEPTHS = np.linspace(0.12, 1.22, 171) ** 2  # in radii of the ball; the contacts' radii are about evenly spaced
 EVERY = 5  # each of these depths is solved; the surfaces between are interpolated
 PIXELS, WIDTH = 144, 5.2  # pixels along a side of the window in which balls are pressed, and its width in radii
-SOLVED = 12  # iterations of the solver
+SOLVED = 9  # iterations of the solver
 THICKNESSES_M = 1e-3 * np.geomspace(1.5, 24.0, 9)  # tried; errors of gels between them are interpolated
 COATINGS_M = 1e-3 * np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
 SURE = 0.02  # standard deviation of the contact's share of the circle, at least

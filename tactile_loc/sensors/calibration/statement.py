@@ -124,11 +124,12 @@ def check_statement(images: Sequence[BallImage], untouched: Image) -> Statement:
     if misfits is None:
         return Statement(others=others, larger=larger)
     ratios = _list_ratios()
-    possible = ratios[misfits <= LIMIT * misfits.min()]
-    stated = float(misfits[len(ratios) // 2] / misfits.min())
-    return Statement(
-        float(ratios[misfits.argmin()]), float(possible.min()), float(possible.max()), stated, others, larger
-    )
+    best, stated = int(misfits.argmin()), float(misfits[len(ratios) // 2] / misfits.min())
+    fits = misfits <= LIMIT * misfits.min()
+    if stated > LIMIT:
+        fits &= (ratios < 1) == (ratios[best] < 1)
+    possible = ratios[fits]
+    return Statement(float(ratios[best]), float(possible.min()), float(possible.max()), stated, others, larger)
 
 
 def _list_ratios() -> Floats:
