@@ -58,6 +58,12 @@ class Circle:
         height, width = shape
         return self.radius_px - min(self.x_px, self.y_px, width - self.x_px, height - self.y_px)
 
+    def measure_visible_arc(self, shape: tuple[int, int]) -> float:
+        """Return the share of the circle that lies in an image (H, W), 0 to 1."""
+        angles = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+        x, y = self.x_px + self.radius_px * np.cos(angles), self.y_px + self.radius_px * np.sin(angles)
+        return float(np.mean((x > 0) & (x < shape[1]) & (y > 0) & (y < shape[0])))
+
 
 @dataclass(frozen=True)
 class Imprint:

@@ -32,6 +32,7 @@ BLURRED = 0.45  # least likeness of a ball's imprint if there is a second ball i
 SECOND = 0.35  # least contrast of a second ball, share of the first ball's contrast
 APART = 2.2  # radius of the area that belongs to an imprint, in radii of the imprint
 OUTSIDE, CUT = 0.1, 0.6  # part of a circle's radius beyond the border at which it counts as cut, and the largest part
+VISIBLE = 0.3  # least share of a cut circle that lies in the image
 SETTLED = 0.13  # largest distance between the rim's centre and the imprint's in a cut circle, in radii
 EXPOSED, MOST_EXPOSED = 253, 0.25  # least count of a saturated value, and largest share of such values in a circle
 OVERSIZED = "imprint larger than the ball"
@@ -158,7 +159,8 @@ def _judge(frame: PressImage, image: Image, reference: Float32, gel: UntouchedGe
     circle = find_rim(change, imprint.circle)
     cut = circle.measure_overhang_px(image.shape[:2]) / circle.radius_px
     moved_px = np.hypot(circle.x_px - imprint.circle.x_px, circle.y_px - imprint.circle.y_px)
-    if cut > CUT or (cut > OUTSIDE and moved_px > SETTLED * circle.radius_px):
+    unsure = moved_px > SETTLED * circle.radius_px or circle.measure_visible_arc(image.shape[:2]) < VISIBLE
+    if cut > CUT or (cut > OUTSIDE and unsure):
         return FoundPress(frame, circle, "cut off at the border")
     return FoundPress(frame, circle, _find_fault(image, reference, circle, ball_px))
 

@@ -102,3 +102,9 @@ def test_the_change_ignores_a_uniform_brightness_shift():
     brighter = compare_colours(pictures[0].astype(np.float32) + 5, gel)
     np.testing.assert_allclose(brighter, change, atol=1e-4)
     assert find_imprint(change).contrast > 10
+
+
+def test_the_visible_arc_is_a_share_of_the_circle():
+    for circle, share in ((Circle(40, 30, 20), 1.0), (Circle(0, 30, 20), 0.5), (Circle(0, 0, 20), 0.25)):
+        assert circle.measure_visible_arc((60, 80)) == pytest.approx(share, abs=0.01)
+    assert Circle(40, 30, 60).measure_visible_arc((60, 80)) == 0  # all of the image is inside
