@@ -39,7 +39,7 @@ INSIDE = 0.7  # part of a circle or of the ball in which slopes are compared, sh
 SAMPLES = 300  # pixels of a press
 RIDGE = 1e-3
 SPREAD = 0.13  # least standard deviation of the logarithms of the factors of two balls
-FEWEST_FOR_TWO = 10  # presses
+FEWEST_FOR_TWO = 16  # presses
 
 
 @dataclass(frozen=True)
