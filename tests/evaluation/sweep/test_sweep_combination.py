@@ -116,11 +116,12 @@ def test_the_planned_keys_equal_the_built_keys(tmp_path, tiny, encoder, temperat
     outcome = do_job(CombinationJob(one.key, one.config, one.count, tmp_path), objects["pin"])
     assert not outcome.error
     built = Counter(name.split()[0] for name in outcome.built)
+    del built["field"]  # not planned, because it takes a fraction of a second
     assert {**built, "bank": 1} == {stage: count for stage, count in before.items() if count}
     planned = list_model_keys(Localizer(one.config, objects["pin"], StageStore(tmp_path / "empty")))
     assert [key.stage for key in planned] == [stage for stage in STAGES[:4] if before[stage]]
     assert {str(key) for key in planned} <= set(outcome.built)
-    others = {name for name in outcome.built if name.split()[0] not in ("temperature", "evaluation", "bank")}
+    others = {name for name in outcome.built if name.split()[0] not in ("temperature", "evaluation", "bank", "field")}
     assert others <= {str(key) for key in planned}
     assert not (tmp_path / "empty").exists() or StageStore(tmp_path / "empty").entries() == []
     assert find_missing_stages(combinations, objects, tmp_path) == dict.fromkeys(STAGES, 0)
