@@ -246,16 +246,20 @@ def read_errors(page: VisitorPage) -> list[tuple[str, str]]:
     return [(f"its error of the {name}", value) for name, value in (line.split(": ") for line in lines)]
 
 
-def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[tuple[str, str]]:
-    """Visit the page from an own mesh to the exported result, and return the rows of the record."""
-    rows: list[tuple[str, str]] = []
+def print_row(step: str, value: str) -> None:
+    """Print a row of the record."""
+    print(f"| {step} | {value} |", flush=True)
+
+
+def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> None:
+    """Visit the page from an own mesh to the exported result, and print a row of the record after each step."""
     start_s = time.perf_counter()
 
     def note(step: str, text: str = "") -> None:
         nonlocal start_s
         now_s = time.perf_counter()
         if step:
-            rows.append((step, text or f"{now_s - start_s:.1f} s"))
+            print_row(step, text or f"{now_s - start_s:.1f} s")
         start_s = time.perf_counter()
 
     with tempfile.TemporaryDirectory() as name, AppServer(port=0, store=store) as server:
@@ -296,13 +300,13 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
                 note(f"add this touch, and locate from {count} touches")
                 visitor.close_notifications()
                 note("")
-            rows.append(("from the own mesh to the verdict, drags included", f"{time.perf_counter() - own_s:.1f} s"))
+            print_row("from the own mesh to the verdict, drags included", f"{time.perf_counter() - own_s:.1f} s")
             page = load_again(server, visitor, page)
-            rows.append(("touches after the page is loaded again", str(len(page.session.touches))))
+            print_row("touches after the page is loaded again", str(len(page.session.touches)))
             other = Visitor(visitor.browser.current_url, folder)
             try:
                 second = await_page(server, other)
-                rows.append(("touches in a second tab with the same address", str(len(second.session.touches))))
+                print_row("touches in a second tab with the same address", str(len(second.session.touches)))
             finally:
                 other.close()
             note("")
@@ -311,8 +315,8 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
             note("export the result")
             assert {"result.json", "report.html", "locate.py", "bracket.stl"} <= {Path(name).name for name in names}
             errors_m = page.session.require_result().measure_errors_m(page.session.object)
-            rows.append(("verdict", str(page.session.require_result().verdict)))
-            rows.append(("error of the first pose", f"{1e3 * float(np.asarray(errors_m)[0]):.3f} mm"))
+            print_row("verdict", str(page.session.require_result().verdict))
+            print_row("error of the first pose", f"{1e3 * float(np.asarray(errors_m)[0]):.3f} mm")
             visitor.close_notifications()
             if pictures is not None:
                 visitor.browser.save_screenshot(str(pictures / "app.png"))
@@ -329,7 +333,8 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
             visitor.click("Calibrate")
             visitor.await_text("Use this sensor", 600.0)
             note(f"calibrate a sensor from {BALLS} simulated photos of a ball")
-            rows += read_errors(page)
+            for row in read_errors(page):
+                print_row(*row)
             if pictures is not None:
                 wait_until(lambda: not page.calibration.start.disabled, "the reading is not drawn")
                 visitor.scroll_to("Download the sensor")
@@ -347,16 +352,15 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> list[
                 visitor.click("Locate")
                 wait_until(lambda: page.session.result, "no result", 600.0)
                 found = page.session.require_result()
-                rows.append((f"verdict from {count} simulated photos", str(found.verdict)))
+                print_row(f"verdict from {count} simulated photos", str(found.verdict))
                 if found.verdict == "certain":
                     break
             away_m = float(PoseMetric(page.session.object).symmetric_distance(list_poses(found)[0][None], T[None])[0])
-            rows.append(("error of the first pose", f"{1e3 * away_m:.2f} mm"))
+            print_row("error of the first pose", f"{1e3 * away_m:.2f} mm")
             if shots is not None:
                 take_shots(server, visitor, shots)
         finally:
             visitor.close()
-    return rows
 
 
 def load_again(server: AppServer, visitor: Visitor, page: VisitorPage) -> VisitorPage:
@@ -391,10 +395,9 @@ def main() -> None:
     parser.add_argument("--picture", action="store_true", help="renew the pictures in docs/images")
     parser.add_argument("--shots", type=Path, help="folder for more screenshots")
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        rows = visit(StageStore(Path(folder)), PICTURES if given.picture else None, given.shots)
     print("| step | measured |\n|---|---|")
-    print("\n".join(f"| {step} | {value} |" for step, value in rows))
+    with tempfile.TemporaryDirectory() as folder:
+        visit(StageStore(Path(folder)), PICTURES if given.picture else None, given.shots)
 
 
 if __name__ == "__main__":
