@@ -34,6 +34,7 @@ EVERY = 3  # each of these rows and columns counts
 SMOOTHING_PX = 1.0  # of the colours, against the camera's noise
 FAR = 2.0  # residual at which a pixel counts a quarter, in standard deviations of the noise
 RIDGE = 1e-6  # of the reflectance's factors, as a share of their mean weight
+LEAST_NOISE = 0.1  # of the colours, counts
 NUDGE = np.array([0.3, 0.3, 0.03])  # steps of the numerical derivatives: centre, pixels, and logarithm of the radius
 FARTHEST = np.array([1.5, 1.5, 0.1])  # largest changes in one step
 UNSURE = np.array([0.5, 0.5, 0.1])  # changes from the circle that count as much as one pixel's noise
@@ -60,7 +61,7 @@ class SeenBalls:
     def fit(self, fit: GelFit) -> tuple[GelFit, list[BallContact]]:
         """Return the gel and the contacts of the balls, given a gel that was fitted to the visible circles.
 
-        The gel is fitted again to the contacts. Its `contact` is that of the visible circles.
+        The gel is fitted again to the contacts. Its `contact` and `contacts` are shares of the visible circles' radii.
         """
         circles_m = [ball.circle.radius_px * ball.pitch_m for ball in self.images]
         contacts = [
@@ -77,7 +78,7 @@ class SeenBalls:
             return fit, contacts
         contacts = self._find_contacts(contacts, again.gel)
         shares = [contact.radius_m / radius_m for contact, radius_m in zip(contacts, circles_m, strict=True)]
-        return replace(again, contact=float(np.median(shares))), contacts
+        return replace(again, contact=float(np.median(shares)), contacts=tuple(shares)), contacts
 
     def _find_contacts(self, start: Sequence[BallContact], gel: Gel) -> list[BallContact]:
         """Return the contacts of the balls, given guesses of them and the gel."""
@@ -129,7 +130,8 @@ class _Press:
         lean = press_balls(gel, self.ball_m).interpolate_slope(away_m, math.exp(contact[2]))
         p, q = (-lean / np.sqrt(1 + lean**2) / np.maximum(away_m, 1e-9)) * off_m.T
         slopes = np.stack([p, q, p**2, p * q, q**2], axis=1)
-        return np.asarray((slopes[:, :, None] * self.place[:, None]).reshape(len(p), -1))
+        count = slopes.shape[1] * self.place.shape[1]
+        return np.asarray((slopes[:, :, None] * self.place[:, None]).reshape(len(p), count))
 
     def is_within(self, reach: float) -> NDArray[np.bool_]:
         """Mark the pixels (N) within `reach` radii of the contact."""
@@ -164,19 +166,19 @@ def _fit_reflectance(presses: Sequence[_Press], gel: Gel, reach: float) -> tuple
     near = [press.is_within(reach) for press in presses]
     terms = np.concatenate([one.measure_terms(one.found, gel)[some] for one, some in zip(presses, near, strict=True)])
     colours = np.concatenate([one.colours[some] for one, some in zip(presses, near, strict=True)])
-    weights, noise = np.ones(len(terms)), 1.0
+    weights, noise = np.ones(len(terms)), LEAST_NOISE
     factors = np.zeros((terms.shape[1], 3))
     for _ in range(REWEIGHTED):
         weighted = terms * weights[:, None]
         equations = terms.T @ weighted
-        equations += RIDGE * np.trace(equations) / len(equations) * np.eye(len(equations))
+        equations += (RIDGE * np.trace(equations) / len(equations) + RIDGE) * np.eye(len(equations))
         factors = np.linalg.solve(equations, weighted.T @ colours)
         off = colours - terms @ factors
-        noise = 1.48 * float(np.median(np.sqrt((off**2).mean(axis=1))))
+        noise = max(1.48 * float(np.median(np.sqrt((off**2).mean(axis=1)))), LEAST_NOISE) if len(off) else LEAST_NOISE
         weights = _weigh(off, noise)
     return factors, noise
 
 
 def _weigh(off: Floats, noise: float) -> Floats:
     """Return the weights (N,) of pixels with residuals (N, 3), counts, given the standard deviation of the noise."""
-    return np.asarray(1 / (1 + (off**2).mean(axis=1) / (FAR * max(noise, 1e-6)) ** 2) ** 2)
+    return np.asarray(1 / (1 + (off**2).mean(axis=1) / (FAR * noise) ** 2) ** 2)

@@ -65,3 +65,12 @@ def test_right_circles_are_kept(drawn, fit):
     _, contacts = SeenBalls(drawn, UNTOUCHED, GEOMETRY).fit(fit)
     off_px = [np.hypot(c.x_px - b.circle.x_px, c.y_px - b.circle.y_px) for b, c in zip(drawn, contacts, strict=True)]
     assert max(off_px) < 0.5
+
+
+def test_contacts_smaller_than_the_compared_pixels_stay_where_they_are(drawn, fit):
+    small = [ball._replace(circle=dataclasses.replace(ball.circle, radius_px=0.1)) for ball in drawn[:3]]
+    some = dataclasses.replace(fit, contacts=fit.contacts[:3])
+    _, contacts = SeenBalls(small, UNTOUCHED, GEOMETRY).fit(some)
+    for ball, contact, share in zip(small, contacts, some.contacts, strict=True):
+        assert np.hypot(contact.x_px - ball.circle.x_px, contact.y_px - ball.circle.y_px) < 1e-6
+        assert contact.radius_m == pytest.approx(share * 0.1 * PITCH_M)
