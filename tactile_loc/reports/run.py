@@ -1,6 +1,7 @@
 """The report of a run: the object's pose from one touch, or from several together."""
 
 from collections.abc import Iterator
+from datetime import datetime
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ COLUMNS = ("rank", "prob. (%)", "imprint IoU (%)", "x (mm)", "y (mm)", "z (mm)",
 SPACING_MM = 4.0  # spacing assumed for a grid without this option
 SPREAD = 0.5  # standard deviation that fills the gaps between grid poses, as a share of the spacing
 LEAST_SPREAD_MM = 0.5
+LEAST_PERCENT = 0.05  # smaller shares would be shown as 0.0
 BEFORE = ("model",)  # stages before the localisation
 VERDICT = "verdict"
 
@@ -44,11 +46,11 @@ def make_result_page(found: Localization) -> Page:
     data = collect_data(found)
     header = [*COLUMNS, *([] if found.assessment.errors is None else ["error (mm)"])]
     notes, seconds = [*found.object.notes, *list_doubts(found)], found.seconds.get("model")
-    truth = found.touch.T_sensor_object is not None
+    about = {"truth": found.touch.T_sensor_object is not None, "search": found.describe_search()}
     colours = {VERDICT: Palette.find_verdict(found.verdict)}
     sections = [
         Section("summary", "", {"numbers": list(_list_numbers(found)), "notes": notes, "colours": colours}),
-        Section("candidates", "Candidates", {"header": header, "rows": _list_rows(found), "truth": truth}),
+        Section("candidates", "Candidates", {"header": header, "rows": _list_rows(found), **about}),
         Section("contact", "Contact shapes", _describe_contact(found)),
         Section("distribution", "Distribution", _describe_distribution(found, data)),
         Section("times", "Times", {"built": "" if seconds is None else f"{seconds:.3g}"}),
@@ -109,9 +111,10 @@ def _write_about(found: Localization) -> str:
     touch, source = found.touch, found.made_with.configuration["touch"]
     what = f"touch {touch.name}" if source["path"] is not None else f"simulated touch, noise {source['noise']}"
     if found.others:
-        what = f"{len(found.touches)} touches together, the first: {touch.name}"
-    pressed = f"press depth {1e3 * touch.press_depth_m:.2f} mm"
-    return f"{what}, {pressed}; {found.describe_search()}; {found.made_with.created}"
+        what = f"{len(found.touches)} touches together"
+    depths_mm = sorted({f"{1e3 * one.press_depth_m:.2f}" for one in found.touches}, key=float)
+    pressed = f"press depth {' to '.join(dict.fromkeys((depths_mm[0], depths_mm[-1])))} mm"
+    return f"{what}, {pressed}; {datetime.fromisoformat(found.made_with.created):%d %B %Y, %H:%M %Z}"
 
 
 def _list_numbers(found: Localization) -> Iterator[tuple[str, str, str]]:
@@ -120,20 +123,18 @@ def _list_numbers(found: Localization) -> Iterator[tuple[str, str, str]]:
     yield VERDICT, found.verdict.value, meaning
     if found.assessment.next_step:
         yield "next step", "", found.assessment.next_step
-    yield "probability", format_percent(best.probability), "of the best pose"
     if (errors := found.assessment.errors) is not None:
         closest = f"largest displacement; of the nearest grid pose: {format_millimetres(errors.closest_in_grid_m)}"
         yield "pose error", format_millimetres(errors.best_m), closest
     x, y, z, angle_deg, axis = format_pose(best.T_sensor_object)
-    rotated = f"of the object in the sensor's frame, rotated {angle_deg}° about {axis}"
-    yield "best pose: x, y, z", f"{x}, {y}, {z} mm", rotated
+    frame = "in the frame of touch 1's sensor" if found.others else "in the sensor's frame"
+    yield f"pose {frame}", f"{x}, {y}, {z} mm", f"x, y, z, rotated {angle_deg}° about {axis}"
     if best.T_base_object is not None:
         x, y, z, angle_deg, axis = format_pose(best.T_base_object)
-        yield "in the base frame", f"{x}, {y}, {z} mm", f"x, y, z, rotated {angle_deg}° about {axis}"
-    yield "normalised entropy", f"{found.normalised_entropy:.2f}", "0: one pose is certain, 1: nothing is known"
+        yield "pose in the base frame", f"{x}, {y}, {z} mm", f"x, y, z, rotated {angle_deg}° about {axis}"
     if (listed := found.pose_set) is not None:
         yield listed.title, listed.size, listed.meaning
-    explains = "how well the best pose explains the touch, in depth and outline"
+    explains = f"how well the pose explains the {'touches' if found.others else 'touch'}, in depth and outline"
     yield "imprint IoU", f"{100 * best.imprint_iou:.0f} %", explains
 
 
@@ -141,7 +142,7 @@ def _list_rows(found: Localization) -> list[list[str]]:
     return [
         [
             str(rank),
-            f"{100 * h.probability:.1f}",
+            f"{100 * h.probability:.1f}" if 100 * h.probability >= LEAST_PERCENT else f"< {2 * LEAST_PERCENT:g}",
             f"{100 * h.imprint_iou:.0f}",
             *format_pose(h.T_sensor_object),
             *([] if error_m is None else [f"{1e3 * error_m:.2f}"]),
@@ -176,10 +177,12 @@ def _describe_contact(found: Localization) -> dict[str, Any]:
 def _describe_touch(found: Localization, number: int) -> dict[str, Any]:
     touch, best = found.touches[number], found.agreement.best_ious
     imprint_iou = (found.best.imprint_ious or (found.best.imprint_iou,))[number]
+    outlier = number in found.agreement.outliers
     return {
-        "name": touch.name,
-        "explained": f"{100 * imprint_iou:.0f} % (another pose: {100 * best[number]:.0f} %)" if best else "",
-        "outlier": number in found.agreement.outliers,
+        "name": f"touch {number + 1}, {touch.name}" if found.others else touch.name,
+        "explained": f"{100 * imprint_iou:.0f} %" if found.others else "",
+        "other": f"{100 * best[number]:.0f} %" if outlier and best else "",
+        "outlier": outlier,
         "frame": pictures.ImageBorders.of(touch.geometry),
         "outline": pictures.trace_outline(touch.contact_shape, touch.geometry),
         "picture": pictures.draw_shape(touch.contact_shape, touch.geometry),
@@ -203,6 +206,7 @@ def _describe_distribution(found: Localization, data: dict[str, Any]) -> dict[st
     return {
         "kept": len(found.posterior.grid),
         "searched": found.assessment.grid_poses,
+        "entropy": f"{found.normalised_entropy:.2f}",
         "others": "the others have no probability"
         if mass > ALL
         else f"these have {100 * mass:.3g} % of the probability",
