@@ -25,6 +25,7 @@ FILE, VERSION = "outcomes.npz", 1
 FIT_FEATURES = ("touches", *SURFACE)
 MOST_POWER, POWER_STEPS = 16.0, 40  # of the hypotheses' probabilities, and halvings to find it
 LEAST = 1e-3  # a smaller probability is not known to be right, and neither is a greater one than 1 - LEAST
+TINY = 1e-300  # instead of a weight of zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +111,9 @@ def share_outcome(weights: Floats, near: Bools, outcome: Outcome) -> tuple[Float
     are raised to one power, which keeps their order. If the first pose would then be less probable than another one,
     all are equally probable.
     """
-    missed, wanted = outcome.missed, outcome.right / (outcome.right + outcome.another)
-    nats = np.log(np.maximum(weights, 1e-300) / weights.max())
+    missed, wanted = outcome.missed, outcome.right / max(outcome.right + outcome.another, TINY)
+    nats = np.log(np.maximum(weights, TINY))
+    nats -= nats.max()
     low, high = (1.0, 1.0) if near.all() else (0.0, MOST_POWER)
     for _ in range(POWER_STEPS):
         powered = np.exp((low + high) / 2 * nats)

@@ -226,7 +226,7 @@ def fit_gel(images: Sequence[BallImage], untouched: Image, progress: Progress | 
     Return None if fewer than FEWEST presses are in the image.
     """
     every = [(one, measure_profile(one, untouched)) for one in images]
-    usable = [np.isfinite(profile).sum() > len(REACH) // 2 for _, profile in every]
+    usable = [np.isfinite(profile).sum() > len(REACH) // 2 and np.nanmax(profile) > 0 for _, profile in every]
     profiles = [press for press, use in zip(every, usable, strict=True) if use]
     if len(profiles) < FEWEST:
         return None
@@ -290,11 +290,11 @@ def _compare(profiles: Sequence[tuple[BallImage, Floats]], gel: Gel) -> tuple[Fl
         seen.append(profile[known])
     pairs = list(zip(modelled, seen, strict=True))
     free = [(model @ one) / np.maximum((model**2).sum(axis=1), 1e-12) for model, one in pairs]
-    usual = None
+    usual = 0.0  # unknown
     for _ in range(ROUNDS):
         errors, chosen, factors = [], [], []
         for (model, one), factor in zip(pairs, free, strict=True):
-            near = factor if usual is None else usual * np.exp(np.clip(np.log(factor / usual), -UNSURE, UNSURE))
+            near = np.clip(factor, usual * np.exp(-UNSURE), usual * np.exp(UNSURE)) if usual > 0 else factor
             missed = ((near[:, None] * model - one) ** 2).sum(axis=1) / (one @ one)
             chosen.append(int(missed.argmin()))
             errors.append(float(missed.min()))

@@ -81,6 +81,14 @@ def test_weights_of_zero_and_one_pose_have_shares():
     assert (p[0], missed) == pytest.approx((0.999, 0.001))
 
 
+@pytest.mark.parametrize(
+    ("weights", "outcome"), [(np.zeros(3), Outcome(0.6, 0.3, 0.1)), (np.ones(3), Outcome(0, 0, 1))]
+)
+def test_impossible_poses_have_equal_shares_and_nothing_is_shared_if_all_are_wrong(weights, outcome):
+    p, missed = share_outcome(weights, np.array([True, False, False]), outcome)
+    assert p == pytest.approx(np.full(3, (1 - missed) / 3))
+
+
 def make_evidence(fits: np.ndarray, near: tuple[bool, ...] = (True, False), ties: int = 0) -> Evidence:
     values, nothing = np.zeros(len(FEATURES)), np.empty(0)
     return Evidence(values, np.array(near), ties, fits, np.zeros(len(fits)), None, nothing)

@@ -45,6 +45,17 @@ def test_too_few_presses_or_circles_beyond_the_image_give_no_fit():
     assert fit_gel(beyond, UNTOUCHED) is None
 
 
+def test_photos_without_a_press_do_not_spoil_the_fit():
+    presses = [draw_press(Gel(4e-3), number) for number in range(5)]
+    blank = [one._replace(image=UNTOUCHED) for one in presses[:2]]
+    noise = np.random.default_rng(0).integers(-2, 3, UNTOUCHED.shape)
+    dim = [one._replace(image=(UNTOUCHED + noise).astype(np.uint8)) for one in presses[:2]]
+    for more in (blank, dim):
+        fit = fit_gel([*presses[2:], *more], UNTOUCHED)
+        assert fit is not None
+        assert np.isfinite([fit.thickness_m, fit.std_m, fit.coating_m, *fit.contacts]).all()
+
+
 def test_a_ball_on_a_half_space_is_as_hertz_says():
     pressed = press_balls(Gel(math.inf), BALL_M)
     depths_m = DEPTHS * BALL_M
