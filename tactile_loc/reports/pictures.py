@@ -17,7 +17,6 @@ from tactile_loc.core.geometry.rigid import Bools
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.io.images import UNREADABLE, load_image
-from tactile_loc.reports.scene import write_number
 from tactile_loc.view.drawn_scene import trace_outlines_m
 from tactile_loc.view.pictures import compute_extent_mm
 from tactile_loc.view.pose_panel import list_round_values
@@ -154,3 +153,8 @@ def _encode_image(image: Any, **options: Any) -> str:
     buffer = io.BytesIO()
     image.save(buffer, "PNG", optimize=True, **options)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def write_number(value: float) -> str:
+    """Return a number as text with a typographic minus sign."""
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}")

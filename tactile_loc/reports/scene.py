@@ -17,15 +17,15 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.reports.distribution import SurfaceDistribution, find_touched_vertices
 from tactile_loc.view.drawn_scene import DrawnScene, DrawnSensor
 from tactile_loc.view.pictures import group_nearby
-from tactile_loc.view.pose_panel import GEL_MM, RIM_MM, choose_view, list_round_values
+from tactile_loc.view.pose_panel import choose_view
 from tactile_loc.view.raytracing import CREASE_DEG, Viewpoint, compute_normals
 
 ELEVATION_DEG = 28.0
 ASIDE_DEG = 25.0  # angle between the view and the peak's direction; seen from the side, the object looks solid
 FIELD_DEG = 45.0
-ROOM = 1.12  # factor on the camera's distance
+ROOM = 1.06  # factor on the camera's distance
 MOST_CREASES = 20_000
-MARGIN_MM = 16.0  # space for numbers around the pads
+MARGIN_MM = 16.0  # space around the pads
 DECADES = 3  # range of the density's colour scale
 NAMED = 5  # candidates marked on the surface
 LIFT_MM, TOGETHER_MM = 1.5, 4.0  # height of marks above the surface, and distance below which marks are merged
@@ -38,7 +38,7 @@ def build_sensor_scene(scene: DrawnScene) -> dict[str, Any]:
     bounds = compute_bounds_mm(mesh, [*scene.poses, *([] if truth is None else [truth])], pads)
     view = choose_view(mesh, scene.poses[0], ELEVATION_DEG)
     best_mm = 1e3 * transform_points(scene.poses[0], mesh.vertices_m)
-    seen_mm = np.concatenate([best_mm, *(_stack_points(one["housing"]) for one in pads)])
+    seen_mm = np.concatenate([best_mm, _stack_points(pads[0]["housing"])])  # not those of further touches
     return {
         "mesh": pack_mesh(mesh),
         "creases": [] if truth is None else find_creases(mesh),
@@ -46,7 +46,6 @@ def build_sensor_scene(scene: DrawnScene) -> dict[str, Any]:
         "pads": pads,
         "bounds": bounds,
         "camera": place_camera(seen_mm, bounds, view),
-        "ticks": list_pad_ticks(scene.sensors[0].geometry, view),
     }
 
 
@@ -167,24 +166,6 @@ def build_triad(box_mm: Floats, view: Viewpoint, length_mm: float) -> dict[str, 
     lines = join_lines([1e-3 * np.stack([origin_mm, end]) for end in origin_mm + length_mm * np.eye(3)])
     names = origin_mm + 1.25 * length_mm * np.eye(3)
     return {"lines": lines, "names": {**_split_columns(names), "text": ["x", "y", "z"]}}
-
-
-def list_pad_ticks(geometry: SensorGeometry, view: Viewpoint) -> dict[str, list[Any]]:
-    """Return the numbers, in mm, along the two edges of the first sensor's pad that are nearest to the viewer."""
-    x0, x1, y0, y1 = (1e3 * value for value in geometry.rectangle)
-    away, z = RIM_MM + 5.5, 1e3 * geometry.surface_m - GEL_MM
-    x = x1 + away if view.axes[2, 0] > 0 else x0 - away
-    y = y1 + away if view.axes[2, 1] > 0 else y0 - away
-    further = 1 + 9 / max(abs(x), abs(y))
-    places = [(v, y) for v in list_round_values(x0, x1)] + [(x, v) for v in list_round_values(y0, y1)]
-    text = [write_number(v) for limits in ((x0, x1), (y0, y1)) for v in list_round_values(*limits)]
-    places += [(0.5 * (x0 + x1), y * further), (x * further, 0.5 * (y0 + y1))]
-    return {**_split_columns(np.array([(*place, z) for place in places])), "text": [*text, "x (mm)", "y (mm)"]}
-
-
-def write_number(value: float) -> str:
-    """Return a number as text with a typographic minus sign."""
-    return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _stack_points(columns: Mapping[str, Any]) -> Floats:

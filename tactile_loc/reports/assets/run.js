@@ -12,18 +12,18 @@
   // ---- the object on the sensor
   const body = surface(data.mesh);
 
-  const pads = (c) => data.pads.flatMap((one, k) => pad(c, one, k === 0 ? 1 : 0.3)); // others must not hide the object
+  const pads = (c) => data.pads.flatMap((one, k) => pad(c, one, k === 0 ? 1 : 0.15)); // others must not hide the object
 
   function ghost(c) {
     if (!data.truth) return [];
     const at = moved(body.at, data.truth), path = { x: [], y: [], z: [] };
     for (const [a, b] of data.creases) for (const k of "xyz") path[k].push(at[k][a], at[k][b], null);
-    return [solid(at, body.faces, c.truth, { opacity: 0.22, name: "true pose" }), lines(path, c.truth, 2)];
+    return [solid(at, body.faces, c.truth, { opacity: 0.3, name: "true pose" }), lines(path, c.truth, 5)];
   }
 
   draw("scene", (c) => {
     const object = solid(moved(body.at, candidates[chosen].T), body.faces, c.steel, { name: "object" });
-    const traces = [object, ...pads(c), ...ghost(c), words(data.ticks, c.soft, 11)];
+    const traces = [object, ...pads(c), ...ghost(c)];
     return { data: traces, layout: space("scene", data.bounds, data.camera) };
   });
 
