@@ -14,7 +14,7 @@ from tactile_loc.sensors.optics.lamps import OPTICS, Optics
 from tactile_loc.sensors.optics.shading import render_background, render_images
 from tactile_loc.sensors.optics.simulate import press_gel, render_touches
 
-PHOTO_PX, MM_PER_PX, BALL_MM, BALLS = (320, 240), 0.0634, 6.0, 20  # size of photos, scale, diameter, and presses
+PHOTO_PX, MM_PER_PX, BALL_MM, BALLS = (320, 240), 0.0634, 3.0, 20  # size of photos, scale, radius, and presses
 PLACES = (-6e-3, 6e-3), (-4e-3, 4e-3), (3e-4, 1e-3)  # ranges of the presses' x, y and depth, metres
 PHOTOS, PART_MM = (3, 4, 5, 6), 0.6  # numbers of photos of the part that are tried, and its press
 
@@ -31,7 +31,7 @@ def choose_camera() -> tuple[SensorGeometry, Optics]:
 def photograph_balls(folder: Path, rng: np.random.Generator) -> tuple[Path, Path]:
     """Write a simulated photo without contact, and an archive of photos of a ball; return both paths."""
     geometry, lamps = choose_camera()
-    ball_m = 0.5e-3 * BALL_MM
+    ball_m = 1e-3 * BALL_MM
     x, y = np.meshgrid(*geometry.pixel_slopes)
     x_m, y_m, press_m = (rng.uniform(low, high, (BALLS, 1, 1)) for low, high in PLACES)
     below_m = ball_m - np.sqrt(np.maximum(ball_m**2 - (x - x_m) ** 2 - (y - y_m) ** 2, 0))

@@ -326,7 +326,7 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> None:
             visitor.await_text(f"Without contact: {untouched.name}")
             visitor.upload("Upload photos of the ball", photos)
             visitor.await_text(f"Photos of presses: {BALLS}")
-            visitor.fill("Ball diameter", BALL_MM)
+            visitor.fill("Ball radius", BALL_MM)
             visitor.fill("Size of a pixel", MM_PER_PX)
             wait_until(lambda: page.calibration.scale.value == MM_PER_PX, "the scale does not arrive")
             note("")

@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Sequence
 from itertools import accumulate
+from math import hypot
 from statistics import geometric_mean, mean, median
 
 from results import Results
@@ -161,6 +162,26 @@ def worse_found(r: Results) -> list[float]:
     return [100 * (found / hand - 1) for found, hand in pairs]
 
 
+def start(r: Results, process: str) -> float:
+    """Return the median time of a process from its start, s."""
+    return r.at("startup", 1, "median, s", process)[0]
+
+
+def prism_off(r: Results, run: str, number: int, *kind: str) -> list[float]:
+    """Return the greatest error of a located prism's place, mm, and of its yaw, degrees, in the rows of a kind."""
+    table = r[run].table(number)
+    rows = [row for row in table.filled if tuple(row[1 : 1 + len(kind)]) == kind]
+    x, y, yaw = (
+        [float(row[table.find_column(name)]) for row in rows] for name in ("x off, mm", "y off, mm", "yaw off, °")
+    )
+    return [max(map(hypot, x, y)), max(map(abs, yaw))]
+
+
+def prism_searched(r: Results) -> list[float]:
+    """Return the errors of the prism, mm and degrees, if the whole object is searched, with the default refiner."""
+    return prism_off(r, "elastic_reading", 3, "layer", "joint")
+
+
 SETTINGS = {
     "README.md": ("Python 3.11 to 3.13", "In simulation, 14 parts"),
     "docs/benchmarks.md": (
@@ -176,14 +197,15 @@ FINGER: dict[str, Values] = {
 }
 QUOTES: dict[str, dict[str, Values]] = {
     "README.md": {
-        "If these touches determine the pose, {} % are located within 0.5 mm. Of all cases, {} % are":
-            lambda r: [five_located(r)[1], five_located(r)[3]],
+        "The touches determine the pose in {} % of the cases, and {} % of these are located within 0.5 mm. Of all "
+        "cases, {} % are":
+            lambda r: [100 - r.at("contacts-clean", 2, "undetermined", "all 14", "3")[0], five_located(r)[1],
+                       five_located(r)[3]],
         "With strong noise, {} % are located within 1 mm":
             lambda r: r.at("contacts-strong", 2, "1 mm", "all 14", "3"),
         "Of {} answers with the verdict `certain`, {} were wrong by more than 1 mm": certain_wrong,
         "Locating takes {} to {} ms on two CPU cores": times_together("3"),
-        "two calibrated sensors read the gel's shape to {} mm":
-            lambda r: [r.at("real_images", 1, "shape in the contact", "GelSlim, 320 x 320")[0] / 1000],
+        "the place was off by at most {} mm and the yaw by at most {} degrees": prism_searched,
     },
     "docs/benchmarks.md": {
         "a second contact reduces the median error from {} to {} mm before refinement": second_contact,
@@ -202,6 +224,11 @@ QUOTES: dict[str, dict[str, Values]] = {
         "With three touches from any direction, it is below 1 mm in {} to {} %, instead of {} %":
             lambda r: outside(r, "3", DRAWN[2], DRAWN[3], DRAWN[0]),
         "Of {} answers with the verdict `certain`, {} were wrong": certain_wrong,
+        "its place was off by at most {} mm, and its yaw by at most {}°":
+            lambda r: prism_off(r, "real_images-shapes", 4),
+        "they were off by at most {} mm and {}°": prism_searched,
+        "sensors read the shape of a pressed ball to {} mm":
+            lambda r: [r.at("real_images", 1, "shape in the contact", "GelSlim, 320 x 320")[0] / 1000],
         "draws {} to {} contact shapes a second": lambda r: renderer(r, -3, 0),
         "{} to {} times as many as OpenGL": lambda r: renderer(r, 0, 1),
     },
@@ -219,7 +246,13 @@ QUOTES: dict[str, dict[str, Values]] = {
         "unknown with a probability of {} %": lambda r: [100 * NullEvidence().prior],
     },
     "docs/app.md": FINGER,
-    "docs/quickstart.md": {"{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook")},
+    "docs/quickstart.md": {
+        "{} MB for the hook": lambda r: r.at("search", 1, "MB", "hook"),
+        "With three touches, it takes {} to {} s on two idle cores (pin and hook)":
+            lambda r: ends([start(r, f"first `tactile-loc run` of the {name}, compiled") for name in ("pin", "hook")]),
+        "and later runs take {} s": lambda r: [start(r, "`tactile-loc run` again")],
+        "the very first run takes {} s": lambda r: [start(r, "first `tactile-loc run`")],
+    },
     "docs/benchmarks/accuracy.md": {
         "Every model is built in {} to {} s": range_of("single_touch", 1, "build s"),
         "Encoding, matching and refining one pose take {} to {} ms":

@@ -151,7 +151,7 @@ class Calibrator:
         self._stopped = True
 
     def calibrate(
-        self, name: str, ball_diameter_mm: float, mm_per_px: float, show: ShowProgress | None = None
+        self, name: str, ball_radius_mm: float, mm_per_px: float, show: ShowProgress | None = None
     ) -> MadeSensor:
         """Make the sensor `name` from the photos of a ball, as the command line does, and keep it as `made`.
 
@@ -165,7 +165,7 @@ class Calibrator:
         work = Path(tempfile.mkdtemp(dir=self.folder, prefix="made-"))
         presses = work / PHOTOS
         shutil.copytree(self._photos, presses)
-        labelled = label_presses(presses, None, 0.5 * ball_diameter_mm, mm_per_px, progress)
+        labelled = label_presses(presses, None, ball_radius_mm, mm_per_px, progress)
         self._require_untouched(labelled)
         recipe = EstimatorRecipe(options=self.options)
         outcome = calibrate_folder(labelled.folder, labelled.sensor, recipe, store=self.store, progress=progress)

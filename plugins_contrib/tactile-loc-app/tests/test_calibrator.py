@@ -19,7 +19,7 @@ from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers
 
 BALLS = ball_set(7, px=80)
-DIAMETER_MM, MM_PER_PX = 2 * BALL_M / MM, 0.2
+RADIUS_MM, MM_PER_PX = BALL_M / MM, 0.2
 UNTOUCHED = "untouched.png"
 
 
@@ -93,15 +93,15 @@ def test_the_photo_without_contact_has_an_own_name(filled):
 
 
 @pytest.mark.parametrize(
-    ("name", "diameter_mm", "scale"),
+    ("name", "radius_mm", "scale"),
     [
-        *((name, 6.0, 0.2) for name in ("", "../mine", ".hidden", "a\0b")),
-        *(("mine", *lengths) for lengths in ((0.0, 0.2), (6.0, -1.0), (0.8, 0.2))),
+        *((name, 3.0, 0.2) for name in ("", "../mine", ".hidden", "a\0b")),
+        *(("mine", *lengths) for lengths in ((0.0, 0.2), (3.0, -1.0), (0.4, 0.2))),
     ],
 )
-def test_impossible_names_and_lengths_are_refused(filled, name, diameter_mm, scale):
+def test_impossible_names_and_lengths_are_refused(filled, name, radius_mm, scale):
     with pytest.raises(TactileLocError):
-        filled.calibrate(name, diameter_mm, scale)
+        filled.calibrate(name, radius_mm, scale)
     assert filled.made is None
 
 
@@ -111,7 +111,7 @@ def test_a_photo_without_contact_that_shows_a_press_is_refused(calibrator):
     calibrator.set_reference("press.png", photos.pop("ball-0.png"))
     calibrator.add_photos("rest.zip", pack({**photos, "gel.png": encode_png(BALLS.background)}))
     with pytest.raises(AppError, match=r"press\.png"):
-        calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
+        calibrator.calibrate("mine", RADIUS_MM, MM_PER_PX)
 
 
 def test_a_calibration_needs_photos_and_ends_when_its_visitor_leaves(filled, tmp_path):
@@ -119,7 +119,7 @@ def test_a_calibration_needs_photos_and_ends_when_its_visitor_leaves(filled, tmp
     filled.stop()
     for one in (empty, filled):
         with pytest.raises(AppError):
-            one.calibrate("mine", DIAMETER_MM, MM_PER_PX)
+            one.calibrate("mine", RADIUS_MM, MM_PER_PX)
 
 
 def test_progress_is_shown_as_a_share():
@@ -142,7 +142,7 @@ def test_photos_become_a_sensor_that_locates_photos(tmp_path, store):
     calibrator.set_reference(UNTOUCHED, encode_png(BALLS.background))
     calibrator.add_photos("photos.zip", pack(list_photos()))
     tasks: set[str] = set()
-    made = calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX, lambda task, _: tasks.add(task))
+    made = calibrator.calibrate("mine", RADIUS_MM, MM_PER_PX, lambda task, _: tasks.add(task))
     assert "learning slope from colour" in tasks
     assert calibrator.made is made
     assert made.labelled.found is not None
@@ -164,9 +164,9 @@ def test_photos_become_a_sensor_that_locates_photos(tmp_path, store):
     assert session.take_camera_touch(str(frames)).name == "frame.png"
     assert len(session.touches) == 2
 
-    again = calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX)
+    again = calibrator.calibrate("mine", RADIUS_MM, MM_PER_PX)
     assert again.folder != made.folder
     calibrator.add_photos("presses.csv", (made.labelled.folder / "presses.csv").read_bytes())
-    assert calibrator.calibrate("mine", DIAMETER_MM, MM_PER_PX).labelled.found is None
+    assert calibrator.calibrate("mine", RADIUS_MM, MM_PER_PX).labelled.found is None
     session.close()
     assert list(Path(tmp_path / "visitors").iterdir()) == []

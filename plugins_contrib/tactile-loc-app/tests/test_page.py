@@ -285,7 +285,7 @@ def test_the_view_fills_a_phone_below_a_card_that_nothing_covers(tmp_path, store
 
 def calibrate_in_the_page(visitor: program.Visitor, page: VisitorPage, folder: Path) -> None:
     """Calibrate a sensor from photos in the page, after a mistake, and use it."""
-    balls, diameter_mm = ball_set(7, px=80), 2 * BALL_M / MM
+    balls, radius_mm = ball_set(7, px=80), BALL_M / MM
     (folder / "untouched.png").write_bytes(encode_png(balls.background))
     photos = {f"{number}.png": encode_png(image) for number, image in enumerate(balls.images)}
     (folder / "balls.zip").write_bytes(pack(photos))
@@ -297,7 +297,7 @@ def calibrate_in_the_page(visitor: program.Visitor, page: VisitorPage, folder: P
     visitor.await_text("Without contact: untouched.png")
     visitor.upload("Upload photos of the ball", folder / "balls.zip")
     visitor.await_text("Photos of presses: 7")
-    visitor.fill("Ball diameter", diameter_mm)
+    visitor.fill("Ball radius", radius_mm)
     visitor.fill("Size of a pixel", 0.2)
     program.wait_until(lambda: page.calibration.scale.value == 0.2, "the scale does not arrive")
     visitor.click("Calibrate")

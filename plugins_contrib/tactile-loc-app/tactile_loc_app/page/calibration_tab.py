@@ -18,11 +18,11 @@ from tactile_loc_app.uploads import LARGEST_MB, take_upload
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-NAME, DIAMETER_MM, MM_PER_PX = "my_sensor", 10.0, 0.05
+NAME, RADIUS_MM, MM_PER_PX = "my_sensor", 5.0, 0.05
 SMALLEST_MM, LARGEST_MM = 1e-4, 1000.0
 SHOWN_NAMES, NO_FILE = 4, "-"
 HOW_TO = (
-    "Press a ball of known diameter on the gel about thirty times, all over the gel, and take a photo of each press. "
+    "Press a ball of known radius on the gel about thirty times, all over the gel, and take a photo of each press. "
     "Take one photo without contact, with the same light."
 )
 
@@ -91,9 +91,7 @@ class CalibrationTab:
     def _add_length_controls(self) -> None:
         gui = self.client.gui
         with gui.add_folder("2. Lengths"):
-            self.diameter = gui.add_number(
-                "Ball diameter (mm)", DIAMETER_MM, min=SMALLEST_MM, max=LARGEST_MM, step=1e-4
-            )
+            self.radius = gui.add_number("Ball radius (mm)", RADIUS_MM, min=SMALLEST_MM, max=LARGEST_MM, step=1e-4)
             self.scale = gui.add_number(
                 "Size of a pixel (mm)",
                 MM_PER_PX,
@@ -128,9 +126,7 @@ class CalibrationTab:
         self.start.disabled = self.bar.visible = True
         self.status.fill("Calibrating. This takes about half a minute for 50 photos ...")
         try:
-            made = self.calibrator.calibrate(
-                self.name.value, self.diameter.value, self.scale.value, self._show_progress
-            )
+            made = self.calibrator.calibrate(self.name.value, self.radius.value, self.scale.value, self._show_progress)
             self._show_made(made)
         finally:
             self.start.disabled = self.bar.visible = False

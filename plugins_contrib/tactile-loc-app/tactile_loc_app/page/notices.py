@@ -22,7 +22,7 @@ NOTE_S, FAULT_S = 7.0, 15.0  # seconds for which a note, and an error or a warni
 CONTROLS = {
     "touch_unit": '"Unit of depths"',
     "touch_kind": '"Depths are"',
-    "ball_radius": '"Ball diameter"',
+    "ball_radius": '"Ball radius"',
     "mm_per_px": '"Size of a pixel"',
     "camera": '"Camera"',
     "sensor": '"Sensor"',

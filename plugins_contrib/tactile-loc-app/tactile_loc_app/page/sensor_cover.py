@@ -22,8 +22,8 @@ DRAWING = "\n".join(
         '<path d="M230 120a52 52 0 0 1 0 104a52 52 0 0 1 0-104" fill="{best}" stroke="{ink}"/>',
         '<path d="M197 210q33 30 66 0" fill="none" stroke="{truth}" stroke-width="3"/>',
         '<path d="M230 20v66m-8-13 8 15 8-15" fill="none" stroke="{ink}" stroke-width="2.5"/>',
-        '<path d="M300 120v104m-6-98 6-7 6 7m-12 92 6 7 6-7" fill="none" stroke="{soft}"/>',
-        '<text x="312" y="177">ball diameter</text><text x="30" y="231">gel</text><text x="30" y="272" >sensor</text>',
+        '<path d="M300 120v52m-6-46 6-7 6 7m-12 40 6 7 6-7M230 172h78" fill="none" stroke="{soft}"/>',
+        '<text x="312" y="151">ball radius</text><text x="30" y="231">gel</text><text x="30" y="272" >sensor</text>',
         '<text x="245" y="48">press, and take a photo</text></svg>',
     ]
 )
