@@ -69,15 +69,15 @@ def read_speed(r: Results) -> Values:
     def read_ms(values: quotes.Values) -> list[list[float]]:
         return [[1e-3 * one for one in quotes.ends(values(r))]]
 
-    build = quotes.ends(r.column("search", 1, "build, s"))
+    build = quotes.ends(r.column("startup", 2, "build places, s"))
     first = [r.at("startup", 1, "median, s", f"first `tactile-loc run` of the {name}, compiled")[0] for name in OBJECTS]
     return {
-        "one touch, one known face, one pose": read_ms(quotes.times_of("one face, one refined pose")),
-        "one touch, any direction, ten poses": read_ms(quotes.times_of("whole object, ten refined hypotheses")),
+        "one touch of a stated face, one pose refined": read_ms(quotes.times_of("one face, one refined pose")),
+        "one touch, any direction, ten poses refined": read_ms(quotes.times_of("whole object, ten refined hypotheses")),
         "three touches together": read_ms(quotes.times_together("3")),
         "five touches together": read_ms(quotes.times_together("5")),
-        "build the model, once per object": [build],
-        "first run with three touches, all included": [quotes.ends(first)],
+        "build the model of the pin or the hook, once": [build],
+        "their first run with three touches, code compiled": [quotes.ends(first)],
     }
 
 
@@ -91,16 +91,12 @@ def read_reliability(r: Results) -> Values:
 
 def draw_accuracy(values: Values) -> Figure:
     """Draw the share of located cases against the number of touches."""
-    from matplotlib.patheffects import withStroke
-
-    halo = [withStroke(linewidth=2.5, foreground=LIGHT.paper)]  # so that grid lines do not cross the text
-    beside: Any = {"textcoords": "offset points", "va": "center", "path_effects": halo}
     figure = make_figure(*SIZE, constrained=True)
     axes = figure.subplots()
     for (name, rows), colour, mark in zip(values.items(), (GREEN, BLUE, PURPLE, ORANGE), "osD^", strict=True):
         x, y = zip(*rows, strict=True)
         axes.plot(x, y, color=colour, marker=mark, lw=2.2, ms=7, label=name)
-        axes.annotate(f"{y[-1]:.0f} %", (x[-1], y[-1]), (9, 0), **beside, color=colour)
+        _write_beside(axes, f"{y[-1]:.0f} %", (x[-1], y[-1]), colour)
     axes.set(xlabel="number of touches", ylabel="located within 0.5 mm (%)", ylim=(0, 104), xlim=(0.8, 5.5))
     axes.set_xticks([1, 2, 3, 5])
     _style(axes)
@@ -114,7 +110,7 @@ def draw_speed(values: Values) -> Figure:
     axes = figure.subplots()
     for number, (_, ((low, high),)) in enumerate(values.items()):
         axes.barh(number, high - low, left=low, height=0.5, color=BLUE if number < 4 else ORANGE)
-        axes.annotate(write_range(low, high), (high, number), (7, 0), textcoords="offset points", va="center")
+        _write_beside(axes, write_range(low, high), (high, number), LIGHT.ink)
     axes.set(xscale="log", xlim=(2e-3, 60), ylim=(len(values) - 0.4, -0.6), xlabel="time on two CPU cores")
     axes.set_xticks([1e-2, 1e-1, 1, 10], ["10 ms", "100 ms", "1 s", "10 s"])
     axes.set_yticks(range(len(values)), list(values))
@@ -148,6 +144,13 @@ def draw_reliability(values: Values) -> Figure:
     _style(axes)
     axes.legend(loc="lower right", frameon=False, fontsize=9.5)
     return figure
+
+
+def _write_beside(axes: Axes, text: str, place: tuple[float, float], colour: str) -> None:
+    from matplotlib.patheffects import withStroke
+
+    halo = [withStroke(linewidth=2.5, foreground=LIGHT.paper)]  # so that grid lines do not cross the text
+    axes.annotate(text, place, (9, 0), textcoords="offset points", va="center", color=colour, path_effects=halo)
 
 
 def _style(axes: Axes, axis: Any = "y") -> None:
