@@ -166,6 +166,9 @@ def furnished(tmp_path_factory, store) -> Path:
         write_image(press / "gelsight.png", image)
         np.savez(press / "label.npz", center=circle[:2], radius=circle[2])
     write_image(folder / "untouched-today.png", balls.background)
+    height, width = balls.background.shape[:2]
+    matrix = [[2.0 * width, 0, width / 2], [0, 2.0 * width, height / 2], [0, 0, 1]]
+    (folder / "camera.yaml").write_text(json.dumps({"K": matrix, "D": [-0.01, 0, 0, 0, 0]}))  # JSON is YAML
     write_image(folder / "photo.png", balls.images[0])
     (folder / "photos").mkdir()
     for number, image in enumerate(balls.images):

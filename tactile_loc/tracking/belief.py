@@ -27,8 +27,9 @@ DRAWS = 256  # poses drawn from a covariance
 def believe(found: Localization, obj: ObjectModel, tolerance: Tolerance) -> Localization:
     """Return the result of touches of one slide with the outcome that all of them together justify.
 
-    The first pose is right if no other pose found is, and if its own error is within the tolerance. The probability is
-    the product of both, or that of the model of outcomes if it is greater.
+    The first pose is right if the search has not missed the true pose, if no other pose found is right, and if its own
+    error is within the tolerance. The probability is the product of the three, or that of the model of outcomes if it is
+    greater. The first factor is that model's.
     """
     first, others = found.hypotheses[0], (*found.hypotheses[1:], *found.unlisted)
     trusted = len(found.touches) - len(found.agreement.outliers)
@@ -38,7 +39,8 @@ def believe(found: Localization, obj: ObjectModel, tolerance: Tolerance) -> Loca
     losses = np.array([first.imprint_iou - one.imprint_iou for one in rivals])
     unlikely = np.array([min(0.0, first.prior_nats - one.prior_nats) for one in rivals])
     mode = 1 / (1 + float(np.exp(-SHARED * NATS_PER_IOU * trusted * losses - unlikely).sum()))
-    right = mode * measure_share_within(first.T_sensor_object, first.covariance, obj, tolerance)
+    within = measure_share_within(first.T_sensor_object, first.covariance, obj, tolerance)
+    right = (1 - found.outcome.missed) * mode * within
     if right <= found.outcome.right:
         return found
     rest = (1 - right) / (1 - found.outcome.right)

@@ -108,7 +108,7 @@ def test_every_stage_is_built_once(which, request, folder):
     assert set(built.values()) == {1}
     store = StageStore(folder / ("store-local" if which == "locally" else "store-dask"))
     assert set(built) == {f"{entry.stage} {entry.digest}" for entry in store.entries()}
-    assert swept.built | {"bank": 0} == {"grid": 2, "shapes": 2, "evaluation": 4, "bank": 0}
+    assert swept.built | {"bank": 0} == {"field": 2, "grid": 2, "shapes": 2, "evaluation": 4, "bank": 0}
     seconds = [row["model_s"] for row in swept.rows]
     assert (
         sum(s > 0 for s in seconds) >= 2
