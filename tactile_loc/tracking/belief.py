@@ -28,8 +28,8 @@ def believe(found: Localization, obj: ObjectModel, tolerance: Tolerance) -> Loca
     """Return the result of touches of one slide with the outcome that all of them together justify.
 
     The first pose is right if the search has not missed the true pose, if no other pose found is right, and if its own
-    error is within the tolerance. The probability is the product of the three, or that of the model of outcomes if it is
-    greater. The first factor is that model's.
+    error is within the tolerance. The probability is the product of the three, or that of the model of outcomes if it
+    is greater. The first factor is that model's.
     """
     first, others = found.hypotheses[0], (*found.hypotheses[1:], *found.unlisted)
     trusted = len(found.touches) - len(found.agreement.outliers)
