@@ -57,8 +57,9 @@ class Film:
 
     @cached_property
     def canvas(self) -> Canvas:
-        """The part of the scene that is drawn: the object at all poses, and the sensors."""
-        solids = [self.truth_m, *(part for one in self.sensors for part in (one.gel_m, one.body_m))]
+        """The part of the scene that is drawn: the object at all poses, and the sensors on their whole way."""
+        shown = [*self.sensors, *(move_away(one, AWAY_M) for one in self.sensors)]
+        solids = [self.truth_m, *(part for one in shown for part in (one.gel_m, one.body_m))]
         solids += [move_triangles(self.stages[0].object.mesh.triangles_m, T) for T in list_poses(self.stages[0])]
         left, right, bottom, top = fit_bounds(VIEW, [1e3 * part for part in solids], 0.02, 0.02)
         width, height = WIDTH - COLUMN, HEIGHT - HEAD - FOOT
@@ -93,11 +94,7 @@ class Film:
 
         A single pose is solid, and several are seen through. Earlier fingers are faint.
         """
-        finger = [one for one in self.sensors[touches - 1 : touches] if touches]
-        moved = [
-            DrawnSensor(one.geometry, one.T_scene_sensor @ make_translation([0, 0, -away_m]), one.touch)
-            for one in finger
-        ]
+        moved = [move_away(one, away_m) for one in self.sensors[touches - 1 : touches] if touches]
         poses = [] if found is None else list_poses(found)
         image = self.draw_solids([], moved)
         for ghost in map_in_threads(lambda T: self.draw_solids([T], moved), poses[::-1]):
@@ -123,15 +120,16 @@ class Film:
 
     def finish(self, scene: Layer, found: Localization | None, touches: int) -> Image.Image:
         """Return a scene as a picture with the verdict on `found`, the contact shapes of `touches`, and a legend."""
-        palette, small, line = self.palette, find_font(15), HEIGHT - 22
+        palette, small, legend, line = self.palette, find_font(15), find_font(19), HEIGHT - 22
         flat = scene[..., :3] + (1 - scene[..., 3:]) * Palette.rgb(palette.paper)
         page = Image.new("RGB", (WIDTH, HEIGHT), palette.paper)
         page.paste(Image.fromarray((255 * flat.clip(0, 1)).astype(np.uint8)), (0, HEAD))
         pen = ImageDraw.Draw(page)
-        pen.rectangle((26, line - 6, 50, line + 6), palette.best, palette.ink)
-        pen.text((58, line), "poses that explain the touches", palette.soft, small, anchor="lm")
-        pen.line((320, line, 344, line), palette.truth, 3)
-        pen.text((352, line), "true pose, unknown to the program", palette.soft, small, anchor="lm")
+        pen.line((26, line, 50, line), palette.truth, 4)
+        pen.text((58, line), "true pose, unknown to the program", palette.soft, legend, anchor="lm")
+        if found is not None:
+            pen.rectangle((450, line - 7, 474, line + 7), palette.best, palette.ink)
+            pen.text((482, line), "poses that explain the touches", palette.soft, legend, anchor="lm")
         bold, left = find_font(22, "Bold"), 26.0
         if found is not None:
             verdict = str(found.verdict)
@@ -146,6 +144,12 @@ class Film:
             pen.rectangle((x, y, x + SIDE, y + SIDE), outline=palette.soft)
             pen.text((x + SIDE / 2, y + SIDE + 13), f"touch {number + 1}", palette.soft, small, anchor="mm")
         return page
+
+
+def move_away(sensor: DrawnSensor, away_m: float) -> DrawnSensor:
+    """Return a sensor some metres before its place."""
+    T = sensor.T_scene_sensor @ make_translation([0, 0, -away_m])
+    return DrawnSensor(sensor.geometry, T, sensor.touch)
 
 
 def list_poses(found: Localization) -> list[Array]:

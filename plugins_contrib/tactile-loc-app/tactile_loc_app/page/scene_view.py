@@ -16,6 +16,7 @@ from tactile_loc import (
     SensorGeometry,
     Touch,
     TriangleMesh,
+    Verdict,
     simplify_mesh,
 )
 from tactile_loc.commands import format_percent
@@ -56,6 +57,7 @@ SUN = (5.0, -2.0, 6.0)  # where the light comes from
 LEAST_SHOWN = 0.01  # probability of a hypothesis that is drawn although it is not chosen
 NEAR, FAR = 0.1, 500.0  # range that the camera of the view sees, in units of the view
 FROM = np.array([0.52, -0.70, 0.49])  # direction, of length 1, from which the object is seen at first
+LABEL_M = 4e-3  # distance of a touch's number from the gel, times the number
 ROOM = 1.1  # space around the object when it is framed
 PHONE_ASPECT = 0.6  # of a narrow page, on which the controls are a drawer
 COVERED, PHONE_COVERED = (0.08, 0.02), (0.13, 0.2)  # shares of the view's height, by the card above and drawer below
@@ -211,7 +213,8 @@ class SceneView:
                 self.scene.add_line_segments(
                     f"{name}/outline", np.concatenate(pairs).astype(np.float32), colors=TOUCHED, thickness=0.03
                 )
-            self.scene.add_label(f"{name}/number", str(number), position=UNITS_PER_M * touch.geometry.gel_middle_m)
+            place = touch.geometry.gel_middle_m - [0, 0, LABEL_M * number]  # numbers of near touches do not overlap
+            self.scene.add_label(f"{name}/number", str(number), position=UNITS_PER_M * place)
 
     def clear_result(self) -> None:
         """Remove hypotheses, ellipsoid and next touch."""
@@ -237,7 +240,8 @@ class SceneView:
             self._add_mesh(f"/poses/{number}", mesh, BEST, **look, **to_view(drawn.poses[number]))
         if len(shown) > 1:
             self._write_weights(drawn, mesh, shown[:MOST_WEIGHTS])
-        self._show_cloud(drawn)
+        if found.verdict is not Verdict.CERTAIN:
+            self._show_cloud(drawn)
         self._show_ellipsoid(drawn, chosen)
 
     def _write_weights(self, drawn: DrawnScene, mesh: TriangleMesh, shown: list[int]) -> None:
