@@ -346,8 +346,9 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> None:
             visitor.click_text("Touches from files")
             note("")
             for count in PHOTOS:  # touch again until the pose is certain
-                T = photograph_part(page.session, folder / "touches.zip", count, np.random.default_rng(0))
-                visitor.upload("Upload a touch or a list", folder / "touches.zip")
+                packed = folder / f"{count}-touches.zip"  # a browser does not report the same file a second time
+                T = photograph_part(page.session, packed, count, np.random.default_rng(0))
+                visitor.upload("Upload a touch or a list", packed)
                 wait_until(lambda count=count: len(page.session.touches) == count, "the photos do not arrive")
                 visitor.click("Locate")
                 wait_until(lambda: page.session.result, "no result", 600.0)
