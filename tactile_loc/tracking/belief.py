@@ -8,16 +8,14 @@ other poses found, and how far its covariance lets it be from the true pose.
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import move
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.tolerance import Tolerance
 from tactile_loc.locate.hypotheses import NATS_PER_IOU
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Outcome
-
-Floats = NDArray[np.float64]
 
 LEAST_TOUCHES = 3  # fewer touches may agree on a wrong pose by chance
 SHARED = 0.3  # share of a touch's nats that counts, because touches of one slide have similar errors

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
+from tactile_loc.core.geometry.rigid import Floats, Poses, invert, rotation_angle
 from tactile_loc.core.poses.priors import PosePrior
 from tactile_loc.core.runtime.compiled import run_aside
 from tactile_loc.core.runtime.errors import GridError
@@ -20,8 +19,6 @@ from tactile_loc.locate.hypotheses import NATS_PER_IOU, compute_imprint_ious
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.tracking.belief import believe
-
-Floats = NDArray[np.float64]
 
 MOST_LISTED = 30  # poses that the next search also refines
 MOST_JUDGED = 10  # of them that are compared with all touches

@@ -83,10 +83,14 @@ class Imprint:
         return self.likeness >= LIKENESS and self.contrast >= CONTRAST
 
 
-def compare_colours(image: Image | Float32, untouched: Image | Float32) -> Float32:
-    """Return an image minus that of the untouched gel, (H, W, 3), counts, shifted to a median of 0 in each colour."""
+def compare_colours(image: Image | Float32, untouched: Image | Float32, smoothing_px: float = 0.0) -> Float32:
+    """Return an image minus that of the untouched gel, (H, W, 3), counts, shifted to a median of 0 in each colour.
+
+    With `smoothing_px`, the standard deviation of a smoothing, the camera's noise is less.
+    """
     change = np.asarray(image, np.float32) - np.asarray(untouched, np.float32)
-    return np.asarray(change - np.median(change[::2, ::2], axis=(0, 1)), np.float32)
+    change = np.asarray(change - np.median(change[::2, ::2], axis=(0, 1)), np.float32)
+    return gaussian_filter(change, (smoothing_px, smoothing_px, 0)) if smoothing_px else change
 
 
 def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 
 from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.runtime.progress import Progress
@@ -264,7 +264,7 @@ def _smooth_shares(images: Sequence[BallImage], usable: NDArray[np.bool_], share
 
 def measure_profile(press: BallImage, untouched: Image, reach: Floats = REACH) -> Floats:
     """Return the root mean square of the odd colour change (K,), counts, at `reach` radii; NaN beyond the image."""
-    change = gaussian_filter(compare_colours(press.image, untouched), (SMOOTHING_PX, SMOOTHING_PX, 0))
+    change = compare_colours(press.image, untouched, SMOOTHING_PX)
     angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
     away = press.circle.radius_px * reach[:, None]
     places = [press.circle.y_px + away * np.sin(angle) - 0.5, press.circle.x_px + away * np.cos(angle) - 0.5]

@@ -18,9 +18,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
+from tactile_loc.core.geometry.rigid import Bools, Floats
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.circles import Circle, compare_colours
@@ -38,8 +37,6 @@ LEAST_NOISE = 0.1  # of the colours, counts
 NUDGE = np.array([0.3, 0.3, 0.03])  # steps of the numerical derivatives: centre, pixels, and logarithm of the radius
 FARTHEST = np.array([1.5, 1.5, 0.1])  # largest changes in one step
 UNSURE = np.array([0.5, 0.5, 0.1])  # changes from the circle that count as much as one pixel's noise
-
-Floats = NDArray[np.float64]
 
 
 class BallContact(NamedTuple):
@@ -84,7 +81,7 @@ class SeenBalls:
         """Return the contacts of the balls, given guesses of them and the gel."""
         presses = []
         for ball, contact in zip(self.images, start, strict=True):
-            change = gaussian_filter(compare_colours(ball.image, self.untouched), (SMOOTHING_PX, SMOOTHING_PX, 0))
+            change = compare_colours(ball.image, self.untouched, SMOOTHING_PX)
             presses.append(_Press.of(ball, np.asarray(change, float), contact, self.geometry))
         for left in reversed(range(ROUNDS)):
             reflectance, noise = _fit_reflectance(presses, gel, INNER if left else math.inf)
@@ -133,7 +130,7 @@ class _Press:
         count = slopes.shape[1] * self.place.shape[1]
         return np.asarray((slopes[:, :, None] * self.place[:, None]).reshape(len(p), count))
 
-    def is_within(self, reach: float) -> NDArray[np.bool_]:
+    def is_within(self, reach: float) -> Bools:
         """Mark the pixels (N) within `reach` radii of the contact."""
         off_m = self.at_m - self.found[:2] / self.per_m
         return np.asarray(np.hypot(*off_m.T) < reach * math.exp(self.found[2]))

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.geometry.rigid import Float32, Floats
 from tactile_loc.core.sensing.gel import Gel
@@ -37,6 +36,7 @@ ROUNDS = 4  # estimates of the brightness
 
 INSIDE = 0.7  # part of a circle or of the ball in which slopes are compared, share of the radius
 SAMPLES = 300  # pixels of a press
+SMOOTHING_PX = 1.0  # of the colours, against the camera's noise
 RIDGE = 1e-3
 SPREAD = 0.13  # least standard deviation of the logarithms of the factors of two balls
 FEWEST_FOR_TWO = 16  # presses
@@ -226,7 +226,7 @@ def _measure_factors(images: Sequence[BallImage], untouched: Image) -> Floats:
         ball_px = one.ball_m / one.pitch_m
         inside = one.circle.measure_distance_px((height, width)) < INSIDE * min(one.circle.radius_px, ball_px)
         y, x = np.divmod(rng.permutation(np.flatnonzero(inside))[:SAMPLES], width)
-        change = gaussian_filter(compare_colours(one.image, untouched), (1, 1, 0))[y, x] / 64
+        change = compare_colours(one.image, untouched, SMOOTHING_PX)[y, x] / 64
         slopes = np.stack([x + 0.5 - one.circle.x_px, y + 0.5 - one.circle.y_px], axis=1) / ball_px
         terms = _stack_terms(change.astype(float), x / width - 0.5, y / height - 0.5)
         sums.append(terms.T @ terms)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
@@ -158,7 +158,7 @@ def measure_stretch(presses: Sequence[tuple[Image, Circle]], untouched: Image) -
 
 def _find_stretches(image: Image, circle: Circle, untouched: Image) -> list[float]:
     """Return the logarithm of an imprint's stretch along x in each of BANDS, or NaN beyond the image."""
-    change = gaussian_filter(compare_colours(image, untouched), (SMOOTHING_PX, SMOOTHING_PX, 0))
+    change = compare_colours(image, untouched, SMOOTHING_PX)
     return [_find_stretch(change, circle, band) for band in BANDS]
 
 
