@@ -5,10 +5,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tactile_loc import Localizer, ObjectModel, RobotTouches, SensorGeometry, load_object
 from tactile_loc.plugin import registry
+from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 ROOT = Path(__file__).parents[1]
+TURNED_DEG, MOVED_MM = 8.0, 2.0  # errors of a candidate near the true pose
 
 
 def make_parser(about: str | None, objects: Sequence[str]) -> argparse.ArgumentParser:
@@ -62,3 +66,10 @@ def open_asked(asked: str, **settings: Any) -> Localizer:
 def make_source(obj: ObjectModel, geometry: SensorGeometry, **errors: Any) -> RobotTouches:
     """Return touches that are drawn by ray casting, which no localizer uses. `errors` are those of RobotTouches."""
     return RobotTouches(obj, geometry, registry().create("renderer", "zbuffer", {}), **errors)
+
+
+def move_near(T: np.ndarray, centroid_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a pose (4, 4), metres, rotated by 8 degrees about the centroid and moved by about 2 mm along each axis."""
+    R = rotation_about(rng.normal(size=3), np.radians(TURNED_DEG))
+    middle = T[:3, :3] @ centroid_m + T[:3, 3]
+    return make_transform(R, middle - R @ middle + 1e-3 * MOVED_MM * rng.normal(size=3)) @ T

@@ -2,7 +2,7 @@
 """Comparison of refined poses' covariances with the poses' errors.
 
 Each example is an object at rest that is pressed from random directions, as in `contacts.py`. Hypotheses start near the
-truth, as in `joint.py`, and the hypothesis that explains the touches best is chosen. For each level and number of
+truth, and the hypothesis that explains the touches best is chosen. For each level and number of
 touches, the table has the share of examples that end within 3 mm. The other examples converged to another pose. For
 examples within 3 mm, it has the median error (root mean square over the surface), the median normalised estimation
 error squared (5.35 for true covariances), and the shares of truths in the 50 and 95 % ellipsoids. At the level
@@ -13,9 +13,8 @@ import argparse
 import dataclasses
 
 import numpy as np
-from asked import load_asked, make_parser, make_source
+from asked import load_asked, make_parser, make_source, move_near
 from contacts import LEVELS
-from joint import move_near
 from scipy.stats import chi2
 
 from tactile_loc import PoseMetric
