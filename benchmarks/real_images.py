@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from tactile_loc import EstimatorRecipe, Localizer, SensorGeometry, StageStore, convert_presses
 from tactile_loc.io.images import load_image
-from tactile_loc.sensors.calibration.circles import Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome, calibrate
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
+from tactile_loc.sensors.reading.circles import Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.sensors.reading.reading import Health, measure_health, measure_press_m
 
 # folder or file, ball radius and pixel size in mm, image size

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.sensors.calibration.circles import compare_colours
 from tactile_loc.sensors.calibration.folder import PICTURE
 from tactile_loc.sensors.calibration.labels import LabelledPresses
 from tactile_loc.sensors.calibration.layouts import SHEET
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
 from tactile_loc.sensors.calibration.unlabelled import FoundPress, FoundPresses
+from tactile_loc.sensors.reading.circles import compare_colours
 from tactile_loc.sensors.reading.estimator import GelEstimator
 from tactile_loc.sensors.reading.reading import read_gel
 from tactile_loc.view.pictures import add_panels, compute_extent_mm, make_figure, save_figure

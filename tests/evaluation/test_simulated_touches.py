@@ -14,7 +14,7 @@ from tactile_loc.core.runtime.errors import CalibrationError, ConfigError, Touch
 from tactile_loc.evaluation.protocol import evaluate, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.sensors.calibration.folder import read_calibration, write_calibration
-from tactile_loc.sensors.calibration.simulated import SimulatedSensor, calibrate_simulated
+from tactile_loc.sensors.optics.board_presses import SimulatedSensor, calibrate_simulated
 from tactile_loc.sensors.optics.lamps import OPTICS
 
 IMAGES = SimulatedTouches(seed=3, images=True)

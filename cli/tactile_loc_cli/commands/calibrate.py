@@ -239,7 +239,7 @@ def _describe_labels(labelled: LabelledFolder, ball_radius: float | None) -> tup
 def _calibrate_simulated(
     sensor: str | None, optics: str | None, count: int | None, recipe: EstimatorRecipe, out: Path, store: Path | None
 ) -> dict[str, Any]:
-    from tactile_loc.sensors.calibration.simulated import SimulatedSensor, calibrate_simulated
+    from tactile_loc.sensors.optics.board_presses import SimulatedSensor, calibrate_simulated
     from tactile_loc.store.store import StageStore
 
     made = SimulatedSensor.find(sensor or DEFAULT_SENSOR, optics)

@@ -41,7 +41,10 @@ Poses = Annotated[
     Path | None, declare("--poses FILE.csv", "Poses of the sensor by time (time_s), in the base frame; with --track.")
 ]
 Turn = Annotated[
-    float, declare("--turn DEG", "Turn of the images about the gel's normal, if the data set has the gel's poses.")
+    float | None,
+    declare(
+        "--turn DEG", "Turn of the images about the gel's normal, if the data set has the gel's poses. Default: 0."
+    ),
 ]
 Out = Annotated[Path, declare("--out FILE.parquet", "Table with the results. Default: located.parquet.")]
 Given = Annotated[
@@ -75,7 +78,7 @@ def replay_dataset(
     column: Column = None,
     track: Track = False,
     poses: Poses = None,
-    turn: Turn = 0.0,
+    turn: Turn = None,
     out: Out = Path("located.parquet"),
     store: Store = None,
 ) -> dict[str, Any]:
@@ -92,11 +95,14 @@ def replay_dataset(
     if poses is not None and not track:
         raise ConfigError("--poses places the sensor for a track; give --track, or leave it out")
     rows = read_episode(dataset, episode, column)
+    if turn is not None and (poses is not None or rows.T_base_gel is None):
+        source = "--poses gives the sensor's poses" if poses is not None else f"{rows.name} has no poses of the gel"
+        raise ConfigError(f"--turn needs the data set's poses of the gel, but {source}; leave out --turn")
     localizer = open_localizer(make_config(given), store)
     tracker = Tracker(localizer) if track else None
     motion = None if poses is None else read_sensor_track(poses)
     if motion is None and rows.T_base_gel is not None:
-        motion = place_sensor(rows, localizer.sensor.geometry.standoff_m, turn)
+        motion = place_sensor(rows, localizer.sensor.geometry.standoff_m, turn or 0.0)
     locator = LiveLocator(localizer, tracker, motion)
     found = locate_rows(rows, locator)
     if all(one.T_sensor_object is None for one in found):

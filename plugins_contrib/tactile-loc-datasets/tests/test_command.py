@@ -54,7 +54,7 @@ def test_poses_covariances_and_verdicts_are_columns(depths, touches, tmp_path):
 
 
 def test_mistakes_are_one_sentence_and_write_nothing(depths, tmp_path):
-    for words in (["--out", "out.csv"], ["--column", "dept"], ["--poses", "poses.csv"]):
+    for words in (["--out", "out.csv"], ["--column", "dept"], ["--poses", "poses.csv"], ["--turn", "0"]):
         done = run(tmp_path, "depths.parquet", *words, *OBJECT)
         assert done.returncode == 2
         assert done.stderr.startswith("error: ")

@@ -25,8 +25,8 @@ from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.gel import Gel, compute_smoothing, list_wave_numbers, make_solver
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.circles import TUKEY, Circle, compare_colours, fit_robustly
 from tactile_loc.sensors.calibration.labels import Image, PressLabel
+from tactile_loc.sensors.reading.circles import TUKEY, Circle, compare_colours, fit_robustly
 
 DEPTHS = np.linspace(0.12, 1.22, 171) ** 2  # in radii of the ball; the contacts' radii are about evenly spaced
 EVERY = 5  # each of these depths is solved; the surfaces between are interpolated
@@ -48,6 +48,7 @@ UNSURE = 0.1  # standard deviation of the brightness between presses, as a share
 ROUNDS = 5  # estimates of the brightness
 
 Floats = NDArray[np.float64]
+AnyFloats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,34 +278,34 @@ def measure_profile(press: BallImage, untouched: Image, reach: Floats = REACH) -
 
 
 def _compare(profiles: Sequence[tuple[BallImage, Floats]], gel: Gel) -> tuple[Floats, Floats]:
-    """Return the squared errors (N,) of profiles, as shares, and the contact's radii (N,) in radii of the circles.
-
-    The brightness is nearly the same in all presses.
-    """
-    seen, modelled, balls = [], [], []
-    for press, profile in profiles:
+    """Return the squared errors (N,) of profiles, as shares, and the contact's radii (N,) in radii of the circles."""
+    balls = [press_balls(gel, press.ball_m) for press, _ in profiles]
+    along, norm = np.empty((2, len(DEPTHS), len(profiles)))
+    power = np.empty(len(profiles))
+    for n, ((press, profile), ball) in enumerate(zip(profiles, balls, strict=True)):
         known = np.isfinite(profile)
-        pressed = press_balls(gel, press.ball_m)
-        balls.append(pressed)
-        modelled.append(pressed.measure_change(REACH[known] * press.circle.radius_px * press.pitch_m))
-        seen.append(profile[known])
-    pairs = list(zip(modelled, seen, strict=True))
-    free = [(model @ one) / np.maximum((model**2).sum(axis=1), 1e-12) for model, one in pairs]
-    usual = 0.0  # unknown
+        model = ball.measure_change(REACH[known] * press.circle.radius_px * press.pitch_m)
+        along[:, n], norm[:, n] = model @ profile[known], (model**2).sum(axis=1)
+        power[n] = profile[known] @ profile[known]
+    errors, chosen = choose_depths(along, norm, power)
+    widths_m = [press.circle.radius_px * press.pitch_m for press, _ in profiles]
+    contacts = [ball.contact_m[k] / width_m for ball, k, width_m in zip(balls, chosen, widths_m, strict=True)]
+    return np.asarray(errors, float), np.array(contacts)
+
+
+def choose_depths(along: AnyFloats, norm: AnyFloats, power: AnyFloats) -> tuple[AnyFloats, NDArray[np.intp]]:
+    """Return the least squared errors (..., N) of profiles, as shares, and the numbers (..., N) of the modelled depths.
+
+    `along` (..., D, N) are the products of the models and the profiles, `norm` (..., D, N) the squares of the models,
+    and `power` (N,) those of the profiles. A model's factor, the brightness, is nearly the same in all presses.
+    """
+    free = near = along / np.maximum(norm, 1e-12)
     for _ in range(ROUNDS):
-        errors, chosen, factors = [], [], []
-        for (model, one), factor in zip(pairs, free, strict=True):
-            near = np.clip(factor, usual * np.exp(-UNSURE), usual * np.exp(UNSURE)) if usual > 0 else factor
-            missed = ((near[:, None] * model - one) ** 2).sum(axis=1) / (one @ one)
-            chosen.append(int(missed.argmin()))
-            errors.append(float(missed.min()))
-            factors.append(float(factor[chosen[-1]]))
-        usual = float(np.median(factors))
-    contacts = [
-        ball.contact_m[k] / (press.circle.radius_px * press.pitch_m)
-        for ball, k, (press, _) in zip(balls, chosen, profiles, strict=True)
-    ]
-    return np.array(errors), np.array(contacts)
+        errors = 1 + near * (near * norm - 2 * along) / power
+        chosen = errors.argmin(axis=-2)[..., None, :]
+        usual = np.median(np.take_along_axis(free, chosen, axis=-2), axis=-1, keepdims=True)
+        near = np.where(usual > 0, np.clip(free, usual * np.exp(-UNSURE), usual * np.exp(UNSURE)), free)
+    return np.take_along_axis(errors, chosen, axis=-2)[..., 0, :], chosen[..., 0, :]
 
 
 def _weigh_gels(errors: Floats) -> tuple[float, float, float]:

@@ -17,6 +17,7 @@ from tactile_loc.io.sensor_files import read_camera
 from tactile_loc.sensors.calibration.folder import CHECKED, WEIGHTS, write_calibration
 from tactile_loc.sensors.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
+from tactile_loc.sensors.reading.circles import thin
 from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator, make_estimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.passport import ASPECT, EQUAL_SCALES, Examination, measure_usual
@@ -107,7 +108,7 @@ def calibrate(
     learned, held_out = split(len(presses), recipe.seed)
     made.fit(Chosen(presses, learned), progress or Progress(), checkpoints or Checkpoints())
     mean = average_errors([measure_press(made, *presses.read_press(number)) for number in held_out])
-    images = (presses.read_press(number)[0] for number in learned[:: -(-len(learned) // LOOKED_AT)])
+    images = (presses.read_press(number)[0] for number in thin(learned, LOOKED_AT))
     usual = find_worst(measure_health(i, made.untouched, made.read(i)[1], made.geometry) for i in images)
     record = {"noise_m": mean.get("untouched_m", 0.0), "held_out": {"presses": list(held_out), "mean": mean}}
     return CalibrationOutcome(presses, made, {**record, "health": usual.record()})
@@ -249,7 +250,7 @@ def calibrate_measured(
 def _check_presses(presses: PressFolder, estimator: GelEstimator) -> dict[str, float]:
     """Return the values of the sensor's checks on some presses of balls; none if there are too few."""
     balls = presses.list_balls()
-    some = np.array([presses.images[n] for n in balls[:: -(-len(balls) // MOST_CHECKED) or 1]])
+    some = np.array([presses.images[n] for n in thin(balls, MOST_CHECKED)])
     if len(some) < FEWEST_CHECKED or estimator.read(some[0])[1] is None:
         return {}
     usual, stretch = measure_usual(Examination(estimator, UntouchedGel.of(presses.background), some)), presses.stretch

@@ -19,12 +19,12 @@ from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_photo
 from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.sensors.calibration.circles import Circle
 from tactile_loc.sensors.calibration.gel_fit import BallImage, GelFit, fit_gel, label_elastic_ball, press_balls
 from tactile_loc.sensors.calibration.labels import STEEPEST, Image, LabelledPresses, PressLabel, label_ball, label_mesh
 from tactile_loc.sensors.calibration.press_table import KINDS, TABLE, UNTOUCHED, PressRow, read_rows
 from tactile_loc.sensors.calibration.reflectance import BallContact, SeenBalls
 from tactile_loc.sensors.calibration.statement import UNCHECKED, Statement, check_statement
+from tactile_loc.sensors.reading.circles import Circle
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import reduce_image
 from tactile_loc.sensors.reading.rectification import Stretch, measure_stretch

@@ -22,9 +22,9 @@ import numpy as np
 from tactile_loc.core.geometry.rigid import Bools, Floats
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.circles import Circle, compare_colours
 from tactile_loc.sensors.calibration.gel_fit import BallImage, GelFit, fit_gel, press_balls
 from tactile_loc.sensors.calibration.labels import Image
+from tactile_loc.sensors.reading.circles import Circle, compare_colours
 
 ROUNDS, REWEIGHTED = 4, 4  # of both steps, and of the weights in a fit of the reflectance
 REACH = 2.6  # distance from a circle's centre up to which pixels count, in radii

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Float32, Floats
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.sensors.calibration import gel_fit
-from tactile_loc.sensors.calibration.circles import compare_colours
-from tactile_loc.sensors.calibration.gel_fit import FEWEST, SEEN, UNSURE, BallImage, measure_profile, press_balls
+from tactile_loc.sensors.calibration.gel_fit import FEWEST, SEEN, BallImage, choose_depths, measure_profile, press_balls
 from tactile_loc.sensors.calibration.labels import Image
+from tactile_loc.sensors.reading.circles import compare_colours, thin
 
 LIMIT = 1.25  # largest misfit of a possible radius, in least misfits; right statements have at most 1.10
 PRECISION = 0.04  # of the modelled profiles, as a share: few gels are tried
@@ -32,7 +32,6 @@ OCTAVES = 1.5  # largest ratio of an assumed radius to the stated one
 NEAREST, FARTHEST = 0.15, 3.0  # distances from a circle's centre at which colours are compared, in radii
 SATURATIONS = np.array([0.0, 0.25, 0.5, 0.75])  # the odd change is s - k s^3 for the slope's sine s and one of these k
 MOST_PROFILES, EVERY_DEPTH, EVERY_COATING = 20, 2, 2
-ROUNDS = 4  # estimates of the brightness
 
 INSIDE = 0.7  # part of a circle or of the ball in which slopes are compared, share of the radius
 SAMPLES = 300  # pixels of a press
@@ -139,7 +138,7 @@ def _list_ratios() -> Floats:
 
 def _measure_misfits(images: Sequence[BallImage], untouched: Image) -> Floats | None:
     """Return the misfit of each ratio, or None if there are too few profiles."""
-    chosen = sorted(images, key=lambda one: one.circle.radius_px)[:: -(-len(images) // MOST_PROFILES) or 1]
+    chosen = thin(sorted(images, key=lambda one: one.circle.radius_px), MOST_PROFILES)
     profiles = _collect_profiles(chosen, untouched)
     if profiles is None:
         return None
@@ -188,15 +187,9 @@ def _compare(models: Float32, profiles: _Profiles) -> float:
     least = np.inf
     for k in SATURATIONS:
         along = (first - k * third).reshape(gels, depths, -1)
-        norm = np.maximum(second - 2 * k * fourth + k * k * sixth, 1e-12).reshape(gels, depths, -1)
-        free = along / norm
-        usual = np.full((gels, 1, 1), np.nan)
-        for _ in range(ROUNDS):
-            near = free if np.isnan(usual).all() else np.clip(free, usual * np.exp(-UNSURE), usual * np.exp(UNSURE))
-            errors = 1 + (near * (near * norm - 2 * along)) / power
-            best = errors.argmin(axis=1)[:, None]
-            usual = np.median(np.take_along_axis(near, best, axis=1), axis=2, keepdims=True)
-        least = min(least, float(errors.min(axis=1).mean(axis=1).min()))
+        norm = (second - 2 * k * fourth + k * k * sixth).reshape(gels, depths, -1)
+        errors, _ = choose_depths(along, norm, power)
+        least = min(least, float(errors.mean(axis=1).min()))
     return float(np.sqrt(max(least, 0) + PRECISION**2))
 
 

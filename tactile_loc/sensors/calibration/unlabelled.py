@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.sensors.calibration.circles import CONTRAST, LIKENESS, Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.labels import WIDEST, Float32, Image
 from tactile_loc.sensors.calibration.untouched import (
@@ -26,6 +25,7 @@ from tactile_loc.sensors.calibration.untouched import (
     find_untouched,
     measure_shift,
 )
+from tactile_loc.sensors.reading.circles import CONTRAST, LIKENESS, Circle, compare_colours, find_imprint, find_rim
 from tactile_loc.sensors.reading.markers import UntouchedGel
 
 BLURRED = 0.45  # least likeness of a ball's imprint if there is a second ball in the image

@@ -13,7 +13,8 @@ from scipy.ndimage import gaussian_filter, shift, uniform_filter
 
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.sensors.calibration.circles import (
+from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
+from tactile_loc.sensors.reading.circles import (
     CONTRAST,
     Circle,
     Imprint,
@@ -22,7 +23,6 @@ from tactile_loc.sensors.calibration.circles import (
     fit_robustly,
     measure_concentration,
 )
-from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
 
 QUIET, STILL = 0.2, 0.5  # limits of an untouched image's change if it looks like a ball or not, share of usual contrast
 MOVED_PX, MOVED_SHARE, SEEN = 0.7, 0.5, 4.0  # least shift, share of change and pixels it explains, and texture, counts

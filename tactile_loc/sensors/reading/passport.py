@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, median_filter
 
 from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.sensors.calibration.circles import compare_colours, find_imprint
 from tactile_loc.sensors.calibration.labels import Float32, Image
+from tactile_loc.sensors.reading.circles import compare_colours, find_imprint
 from tactile_loc.sensors.reading.estimator import GelEstimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import LEAST_M, measure_press_m, reduce_image

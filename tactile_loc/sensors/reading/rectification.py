@@ -24,8 +24,8 @@ from tactile_loc.core.sensing.photo_map import (
     to_corners,
 )
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.circles import Circle, compare_colours
 from tactile_loc.sensors.calibration.labels import Image
+from tactile_loc.sensors.reading.circles import Circle, compare_colours, thin
 from tactile_loc.sensors.reading.markers import Dots, UntouchedGel
 
 Array = NDArray[np.float64]
@@ -145,7 +145,7 @@ def measure_stretch(presses: Sequence[tuple[Image, Circle]], untouched: Image) -
     except for its strength. In a stretched photo, the profiles differ in length. The profiles in the BANDS differ by
     the errors of this assumption. Return None for fewer than FEWEST imprints in the image.
     """
-    some = presses[:: max(1, -(-len(presses) // SAMPLED))]
+    some = thin(presses, SAMPLED)
     found = np.array([_find_stretches(image, circle, untouched) for image, circle in some]).reshape(-1, len(BANDS))
     known = found[np.isfinite(found).all(axis=1)]
     if len(known) < FEWEST:
@@ -297,8 +297,8 @@ def see_view(
     sensor for photos that are not rectified. Marker dots show the whole view, if they are a square lattice in which
     balls are round. Otherwise, balls show the ratio of the scales of x and y.
     """
-    some = presses[:: max(1, -(-len(presses) // SAMPLED))]
-    stretch = measure_stretch([(gel.clear_image(image), circle) for image, circle in some], gel.clear)
+    some = [(gel.clear_image(image), circle) for image, circle in thin(presses, SAMPLED)]
+    stretch = measure_stretch(some, gel.clear)
     photo_px = straight.width_px, straight.height_px
     if before is not None:
         if before.aspect is None or stretch is None or abs(np.log(stretch.ratio)) < 2 * stretch.std + SAME_RATIO:

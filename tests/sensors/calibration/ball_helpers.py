@@ -6,8 +6,8 @@ import numpy as np
 
 from tactile_loc.core.sensing.gel import Gel, compute_smoothing, list_wave_numbers, make_solver
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.circles import Circle
 from tactile_loc.sensors.calibration.gel_fit import BallImage
+from tactile_loc.sensors.reading.circles import Circle
 from tactile_loc.sensors.reading.surface import differentiate
 
 BALL_M, PITCH_M, PX = 3e-3, 1.2e-4, 140

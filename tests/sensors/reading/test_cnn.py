@@ -12,7 +12,7 @@ from tactile_loc import EstimatorRecipe, SensorGeometry, StageStore
 from tactile_loc.plugin import Progress, TrainingError
 from tactile_loc.sensors.calibration.labels import LabelledPresses, label_surface
 from tactile_loc.sensors.calibration.outcome import calibrate
-from tactile_loc.sensors.calibration.simulated import SimulatedSensor, simulate_presses
+from tactile_loc.sensors.optics.board_presses import SimulatedSensor, simulate_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
 from tactile_loc.sensors.optics.simulate import render_touches

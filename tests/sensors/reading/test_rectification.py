@@ -7,9 +7,9 @@ from press_sets import ball_set, sensor
 
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.photo_map import UNIT, Lens, PhotoMap, to_corners
-from tactile_loc.sensors.calibration.circles import Circle
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
+from tactile_loc.sensors.reading.circles import Circle
 from tactile_loc.sensors.reading.markers import find_dots
 from tactile_loc.sensors.reading.rectification import StatedView, Stretch, fit_lattice, measure_scales, measure_stretch
 

@@ -12,9 +12,10 @@ The origin of pixel coordinates is the image's upper left corner, so the first p
 is an image minus the image of the untouched gel: (H, W, 3) float32, counts of 255, with median 0.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from scipy.optimize import least_squares
 from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 LIKENESS, CONTRAST = 0.65, 4.0  # least likeness of a ball's imprint, and least contrast, counts
 COARSE_PX, COARSER_PX = 80, 40  # longer image side for finding a ball, and for measuring concentration
@@ -91,6 +93,11 @@ def compare_colours(image: Image | Float32, untouched: Image | Float32, smoothin
     change = np.asarray(image, np.float32) - np.asarray(untouched, np.float32)
     change = np.asarray(change - np.median(change[::2, ::2], axis=(0, 1)), np.float32)
     return gaussian_filter(change, (smoothing_px, smoothing_px, 0)) if smoothing_px else change
+
+
+def thin(presses: Sequence[T], most: int) -> Sequence[T]:
+    """Return every n-th press, from the first one, with the least n that leaves at most `most` presses."""
+    return presses[:: max(1, -(-len(presses) // most))]
 
 
 def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint:

@@ -5,7 +5,7 @@ import pytest
 from press_sets import sensor
 
 from tactile_loc.sensors.calibration import simulated as module
-from tactile_loc.sensors.calibration.simulated import SHARD, SimulatedSensor, simulate_presses
+from tactile_loc.sensors.optics.board_presses import SHARD, SimulatedSensor, simulate_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
 from tactile_loc.sensors.optics.simulate import press_boards

@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 from press_sets import ball_indentation, gel_under, sensor, visible_radius
 
-from tactile_loc.sensors.calibration.circles import (
-    Circle,
-    compare_colours,
-    find_imprint,
-    find_rim,
-    measure_concentration,
-)
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
+from tactile_loc.sensors.reading.circles import Circle, compare_colours, find_imprint, find_rim, measure_concentration
 
 GEOMETRY = sensor(160)
 SCALE = GEOMETRY.scale_at_surface[0]
