@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from press_sets import sensor
 
-from tactile_loc.sensors.calibration import simulated as module
+from tactile_loc.sensors.optics import board_presses as module
 from tactile_loc.sensors.optics.board_presses import SHARD, SimulatedSensor, simulate_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
