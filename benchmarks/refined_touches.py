@@ -20,8 +20,8 @@ from contacts import LEVELS
 from numpy.typing import NDArray
 
 from tactile_loc.core.poses.pose_errors import measure_pose_errors
-from tactile_loc.core.sensing.scene import Scene, View, view_touch
-from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
+from tactile_loc.core.sensing.scene import Scene, View, compare_where_seen, view_touch
+from tactile_loc.locate.hypotheses import find_seen_poses
 from tactile_loc.plugin import Candidate, RefinedPose, Refiner, registry
 from tactile_loc.plugin.helpers import Cloud, CloudRefiner, Registration
 

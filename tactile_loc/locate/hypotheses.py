@@ -6,14 +6,14 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, invert, rotation_angle
+from tactile_loc.core.geometry.rigid import Poses, invert
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.merging import merge_modes, suppress_non_maxima
 from tactile_loc.core.poses.metric import PoseMetric, measure_distances
 from tactile_loc.core.poses.posterior import TIE_NATS, Mode, PosePosterior, group_ties, rank_poses
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.poses.tolerance import Tolerance
-from tactile_loc.core.sensing.scene import IOU_PX, View
+from tactile_loc.core.sensing.scene import IOU_PX, View, compare_where_seen
 from tactile_loc.io.options import HypothesisOptions
 from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.result.hypothesis import Hypothesis
@@ -21,7 +21,6 @@ from tactile_loc.locate.result.hypothesis import Hypothesis
 # A pose that leaves the share x of the imprints of N touches unexplained has the score -ln(x + LEAST_UNEXPLAINED). The
 # temperature is 1 / (N SHARPNESS_OF_ONE).
 LEAST_UNEXPLAINED, SHARPNESS_OF_ONE, TAIL = 0.0064, 12.8, 0.15
-NATS_PER_IOU = 30.0  # nats of a prior, or of an error of a sensor pose, that count as much as an imprint IoU of 1
 MASK_SHARE = 0.5
 STILL_MOVING = 10  # poses that did not converge are merged within the radius divided by this
 EXCLUDED = -1e6  # nats: log-weight of a pose that the prior excludes
@@ -169,30 +168,6 @@ def compute_imprint_ious(
     return np.stack([view.imprint_ious(T_first_object, pixels, freedom_m) for view in views], axis=1)
 
 
-def compare_where_seen(
-    views: Sequence[View], T_first_object: Poses, seen: Poses | None = None, first: View | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return imprint IoUs (K, N) and evidence (K, N), nats, of poses (K, 4, 4), metres, for each of N touches.
-
-    `seen` (K, N, 4, 4), metres, are poses of the object in each sensor's frame that allow for an error of the sensor's
-    reported pose. An error of s standard deviations costs s^2 / 2 nats, and each nat costs 1 / NATS_PER_IOU
-    of imprint IoU. For each touch, the greater of the values with and without the error is returned. `first` is the
-    first touch's view, by default the first of the views.
-    """
-    here = [view.compare_imprints(T_first_object) for view in views]
-    ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
-    if seen is None:
-        return ious, evidence
-    for number, view in enumerate(views):
-        nats = compute_sensor_error_nats(
-            view, first or views[0], seen[:, number] @ invert(view.T_sensor_first @ T_first_object)
-        )
-        there = view.scene.compare_imprints(seen[:, number], view.touch)
-        ious[:, number] = np.maximum(ious[:, number], there.imprint_ious - nats / NATS_PER_IOU)
-        evidence[:, number] = np.maximum(evidence[:, number], there.evidence - nats)
-    return ious, evidence
-
-
 def keep_likeliest(
     modes: Sequence[Mode], views: Sequence[View], freedom_m: float, options: HypothesisOptions
 ) -> tuple[list[Mode], NDArray[np.float64]]:
@@ -216,15 +191,6 @@ def find_seen_poses(views: Sequence[View], refined: Sequence[RefinedPose]) -> ND
         if pose.T_sensors_object is not None and len(pose.T_sensors_object) == len(views):
             seen[k] = pose.T_sensors_object
     return seen
-
-
-def compute_sensor_error_nats(view: View, first: View, error: Poses) -> NDArray[np.float64]:
-    """Return the cost (K,), nats, of errors (K, 4, 4), metres, of a sensor's pose relative to the first one's."""
-    std_m = max(float(np.hypot(view.sensor_std_m, first.sensor_std_m)), 1e-6)
-    std_rad = max(float(np.hypot(view.sensor_std_rad, first.sensor_std_rad)), 1e-6)
-    gel = np.array([0.0, 0.0, view.touch.geometry.standoff_m])
-    shift_m = np.linalg.norm(error[:, :3, :3] @ gel + error[:, :3, 3] - gel, axis=-1)
-    return np.asarray((shift_m / std_m) ** 2 + (rotation_angle(error[:, :3, :3]) / std_rad) ** 2) / 2
 
 
 def propose_together(

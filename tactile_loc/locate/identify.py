@@ -22,9 +22,9 @@ from tactile_loc.bases.common_poses import require_sensor_poses
 from tactile_loc.core.poses.posterior import TIE_NATS, group_ties
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import ObjectError, StoreError, TactileLocError, TouchError, quote
-from tactile_loc.core.sensing.scene import compute_full_evidence
+from tactile_loc.core.sensing.scene import compare_where_seen, compute_full_evidence
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import compare_where_seen, find_seen_poses
+from tactile_loc.locate.hypotheses import find_seen_poses
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability.null_evidence import NullEvidence
 from tactile_loc.locate.result.localization import Localization

@@ -13,9 +13,9 @@ from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.merging import suppress_non_maxima
 from tactile_loc.core.poses.posterior import Mode, NoPoseLeft
 from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.core.sensing.scene import View
+from tactile_loc.core.sensing.scene import View, compare_where_seen
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import compare_where_seen, keep_likeliest
+from tactile_loc.locate.hypotheses import keep_likeliest
 from tactile_loc.locate.method import LocatingMethod, Query
 from tactile_loc.locate.pipeline import Solution, conclude, localize, weigh_modes
 from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis

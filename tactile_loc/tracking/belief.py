@@ -13,7 +13,7 @@ from tactile_loc.core.geometry.lie import move
 from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.tolerance import Tolerance
-from tactile_loc.locate.hypotheses import NATS_PER_IOU
+from tactile_loc.core.sensing.scene import NATS_PER_IOU
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Outcome
 

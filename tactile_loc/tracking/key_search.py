@@ -14,8 +14,9 @@ from tactile_loc.core.geometry.rigid import Floats, Poses, invert, rotation_angl
 from tactile_loc.core.poses.priors import PosePrior
 from tactile_loc.core.runtime.compiled import run_aside
 from tactile_loc.core.runtime.errors import GridError
+from tactile_loc.core.sensing.scene import NATS_PER_IOU
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import NATS_PER_IOU, compute_imprint_ious
+from tactile_loc.locate.hypotheses import compute_imprint_ious
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.tracking.belief import believe

@@ -5,12 +5,11 @@ import pytest
 
 from tactile_loc import ContactShape, ObjectModel, PoseGrid, PoseMetric, Touch
 from tactile_loc.core.poses.posterior import TIE_NATS, Mode, PosePosterior
+from tactile_loc.core.sensing.scene import NATS_PER_IOU, compare_where_seen
 from tactile_loc.locate.hypotheses import (
-    NATS_PER_IOU,
     assign_probabilities,
     choose_best_apart,
     compare,
-    compare_where_seen,
     compute_nats,
     merge_hypotheses,
     split_modes,

@@ -16,14 +16,13 @@ from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.estimates import Estimates, PoseFusion, scale
 from tactile_loc.core.registration.joint_registration import ROUGHLY
 from tactile_loc.core.registration.observations import MILLI
-from tactile_loc.core.sensing.scene import Scene, View
+from tactile_loc.core.sensing.scene import NATS_PER_IOU, Scene, View
 from tactile_loc.core.sensing.touch import Touch
 
 ROUNDS = 4  # most rounds; three bring ICP from 2 mm to some micrometres of the true pose of clean touches
 SETTLED_M = 1e-5  # a pose that a round moves less is not refined again
 STILL_M = 1e-9  # a pose that a round moves less has not moved
 LEVER_M = 1e-2  # a rotation counts as the motion of a point at this distance from its axis
-NATS_PER_IOU = 30.0  # nats of an error of a sensor pose that count as much as an imprint IoU of 1
 Alone = Sequence[Sequence[RefinedPose]]  # K refined poses for each of N touches, in the frame of its own sensor
 RefineMany = Callable[[Touch, Sequence[Candidate], Scene], Sequence[RefinedPose]]
 

@@ -34,9 +34,9 @@ from tactile_loc.core.registration.registration_kernel import (
     Schedule,
 )
 from tactile_loc.core.runtime.options import ComponentOptions
-from tactile_loc.core.sensing.scene import View
+from tactile_loc.core.sensing.scene import View, compare_where_seen
 
-VERSION = 4  # part of the store's keys: raise it when the output changes
+VERSION = 5  # part of the store's keys: raise it when the output changes
 ROUGHLY = 0.02  # IoUs are counted in pixels, so a loss this small is ignored
 FINELY = 4  # number of last steps, which use all points
 EARLY = 2  # number of first steps, after which poses are compared
@@ -73,7 +73,8 @@ class JointRegistration:
         """Refine poses (K, 4, 4), metres, in the first touch's sensor frame, against all touches.
 
         A pose that would explain the touches worse after registration is returned unchanged and marked not converged.
-        A `prior` over these poses decides where the touches leave a pose open. It does not count in the covariances.
+        A registered pose may explain them with errors of the sensor poses: see `compare_where_seen`. A `prior` over
+        these poses decides where the touches leave a pose open. It does not count in the covariances.
         """
         if not len(T_first_object):
             return []
@@ -85,6 +86,11 @@ class JointRegistration:
         doubted = after[1] < 1 - ROUGHLY  # a pose that explains nearly the whole touch cannot be worse than before
         before[:, doubted] = _explain(views, T_first_object[doubted])
         good = ~doubted | (after[1] >= before[1] - ROUGHLY)
+        worse = np.flatnonzero(~good)
+        if len(views) > 1 and len(worse):
+            seen = _scale(found.registered.T_each[worse], 1 / MILLI)
+            ious = compare_where_seen(views, found.T_first_object[worse], seen)[0]
+            good[worse] = ious.mean(axis=1) >= before[1, worse] - ROUGHLY
         results = []
         for k, given in enumerate(T_first_object):
             T, (contact, imprint) = (found.T_first_object[k], after[:, k]) if good[k] else (given.copy(), before[:, k])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Poses, invert
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Poses, invert, rotation_angle
 from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
@@ -17,6 +18,7 @@ from tactile_loc.core.sensing.sensor_geometry import Drawing, SensorGeometry, fi
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
 
 IOU_PX = 100
+NATS_PER_IOU = 30.0  # nats of a prior, or of an error of a sensor pose, that count as much as an imprint IoU of 1
 
 # The error of a measured indentation is a share of the indentation plus a constant. It limits how far a pose may move
 # along z.
@@ -237,6 +239,39 @@ def relate_sensors(first: Touch, touch: Touch) -> Floats:
     if touch is first:
         return np.eye(4)
     return invert(np.asarray(touch.T_base_sensor)) @ np.asarray(first.T_base_sensor)
+
+
+def compare_where_seen(
+    views: Sequence[View], T_first_object: Poses, seen: Poses | None = None, first: View | None = None
+) -> tuple[Floats, Floats]:
+    """Return imprint IoUs (K, N) and evidence (K, N), nats, of poses (K, 4, 4), metres, for each of N touches.
+
+    `seen` (K, N, 4, 4), metres, are poses of the object in each sensor's frame that allow for an error of the sensor's
+    reported pose. An error of s standard deviations costs s^2 / 2 nats, and each nat costs 1 / NATS_PER_IOU
+    of imprint IoU. For each touch, the greater of the values with and without the error is returned. `first` is the
+    first touch's view, by default the first of the views.
+    """
+    here = [view.compare_imprints(T_first_object) for view in views]
+    ious, evidence = (np.stack([one[k] for one in here], axis=1) for k in (1, 2))
+    if seen is None:
+        return ious, evidence
+    for number, view in enumerate(views):
+        nats = compute_sensor_error_nats(
+            view, first or views[0], seen[:, number] @ invert(view.T_sensor_first @ T_first_object)
+        )
+        there = view.scene.compare_imprints(seen[:, number], view.touch)
+        ious[:, number] = np.maximum(ious[:, number], there.imprint_ious - nats / NATS_PER_IOU)
+        evidence[:, number] = np.maximum(evidence[:, number], there.evidence - nats)
+    return ious, evidence
+
+
+def compute_sensor_error_nats(view: View, first: View, error: Poses) -> Floats:
+    """Return the cost (K,), nats, of errors (K, 4, 4), metres, of a sensor's pose relative to the first one's."""
+    std_m = max(float(np.hypot(view.sensor_std_m, first.sensor_std_m)), 1e-6)
+    std_rad = max(float(np.hypot(view.sensor_std_rad, first.sensor_std_rad)), 1e-6)
+    gel = np.array([0.0, 0.0, view.touch.geometry.standoff_m])
+    shift_m = np.linalg.norm(error[:, :3, :3] @ gel + error[:, :3, 3] - gel, axis=-1)
+    return np.asarray((shift_m / std_m) ** 2 + (rotation_angle(error[:, :3, :3]) / std_rad) ** 2) / 2
 
 
 def compute_full_evidence(touch: Touch) -> float:

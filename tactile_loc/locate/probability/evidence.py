@@ -14,9 +14,9 @@ from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Poses, inver
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.poses.tolerance import Tolerance
-from tactile_loc.core.sensing.scene import IOU_PX, View
+from tactile_loc.core.sensing.scene import IOU_PX, NATS_PER_IOU, View, compute_sensor_error_nats
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import LEAST_UNEXPLAINED, NATS_PER_IOU, compute_sensor_error_nats, find_seen_poses
+from tactile_loc.locate.hypotheses import LEAST_UNEXPLAINED, find_seen_poses
 from tactile_loc.locate.probability.probes import DIRECTIONS, Probes, place_probes
 from tactile_loc.locate.result.hypothesis import Hypothesis
 

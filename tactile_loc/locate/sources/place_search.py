@@ -22,9 +22,9 @@ from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
 from tactile_loc.core.registration.prior_factors import draw_around, fit_prior_factors
 from tactile_loc.core.runtime.progress import StageTimes
-from tactile_loc.core.sensing.scene import View
+from tactile_loc.core.sensing.scene import NATS_PER_IOU, View
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import NATS_PER_IOU, compute_imprint_ious
+from tactile_loc.locate.hypotheses import compute_imprint_ious
 from tactile_loc.locate.sources.scoring import GridScores, NewMatcher, Scores
 from tactile_loc.locate.sources.source import Rated, SourceSetup
 from tactile_loc.locate.sources.stored_places import PlaceBanks

@@ -24,9 +24,9 @@ from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior, SeenFrom
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.clouds import make_contact_cloud, make_outline_cloud
-from tactile_loc.core.sensing.scene import View
+from tactile_loc.core.sensing.scene import View, compare_where_seen
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.locate.hypotheses import DOUBT, choose_best_apart, compare_where_seen, compute_imprint_ious
+from tactile_loc.locate.hypotheses import DOUBT, choose_best_apart, compute_imprint_ious
 from tactile_loc.locate.probability.temperature import SEARCHED, TemperatureScaling
 from tactile_loc.locate.sources.place_search import MOST_UNEXPLAINED, PlaceSearch
 from tactile_loc.locate.sources.scoring import Scores

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tactile_loc import ContactShape, Tolerance, Touch
-from tactile_loc.locate.hypotheses import LEAST_UNEXPLAINED, NATS_PER_IOU
+from tactile_loc.core.sensing.scene import NATS_PER_IOU
+from tactile_loc.locate.hypotheses import LEAST_UNEXPLAINED
 from tactile_loc.locate.probability.evidence import (
     FEATURES,
     NO_GAP,
