@@ -7,20 +7,20 @@ Touches and results are those of the program. Writes docs/images/touches.gif and
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from tactile_loc import Localization, Localizer, localize_together, paint_shape
 from tactile_loc.plugin.helpers import make_transform, make_translation, map_in_threads, rotation_about
 from tactile_loc.view.drawn_scene import DrawnSensor, move_triangles
+from tactile_loc.view.one_versus_several import find_font
 from tactile_loc.view.palette import DARK, LIGHT, Palette
-from tactile_loc.view.pose_panel import SUPERSAMPLE, Canvas, fit_bounds
-from tactile_loc.view.raytracing import Viewpoint, average
+from tactile_loc.view.pose_panel import Canvas, fit_bounds
+from tactile_loc.view.raytracing import Viewpoint, blend
 
 IMAGES = Path(__file__).parent / "images"
 OBJECT, SENSOR, SEED = "hook", "gelsight-mini", 13  # with this seed, all fingers are visible from the viewpoint
@@ -72,10 +72,7 @@ class Film:
     @cached_property
     def outline(self) -> Layer:
         """The edges of the object at its true pose."""
-        lines = np.zeros((*self.canvas.shape, 4), np.float32)
-        self.canvas.draw_edges(lines, 1e3 * self.truth_m, self.palette.truth, 1.0)
-        lines[1:] = np.maximum(lines[1:], lines[:-1])  # thicker
-        return average(lines, SUPERSAMPLE)
+        return self.canvas.draw_edges(1e3 * self.truth_m, self.palette.truth, 3)
 
     def draw_solids(self, poses: Sequence[Array], sensors: Sequence[DrawnSensor]) -> Layer:
         """Return the object at some poses T_scene_object (4, 4), metres, and some sensors."""
@@ -86,8 +83,7 @@ class Film:
             solids += [(one.gel_m, gel), (one.housing_m, housing), (one.body_m, housing)]
         if not solids:
             return np.zeros_like(self.outline)
-        _, image = self.canvas.draw_solids([1e3 * part for part, _ in solids], [colour for _, colour in solids])
-        return average(image, SUPERSAMPLE)
+        return self.canvas.draw_solids([1e3 * part for part, _ in solids], [colour for _, colour in solids])[1]
 
     def draw_scene(self, found: Localization | None, touches: int, away_m: float) -> Layer:
         """Return the poses of a result, and the finger of the last of some touches, `away_m` metres before its place.
@@ -98,9 +94,9 @@ class Film:
         poses = [] if found is None else list_poses(found)
         image = self.draw_solids([], moved)
         for ghost in map_in_threads(lambda T: self.draw_solids([T], moved), poses[::-1]):
-            image = put(image, ghost, 1.0 if len(poses) == 1 else GHOST)
-        image = put(image, self.draw_solids([], self.sensors[: max(touches - 1, 0)]), EARLIER)
-        return put(image, self.outline, 0.9)
+            image = blend(image, ghost, 1.0 if len(poses) == 1 else GHOST)
+        image = blend(image, self.draw_solids([], self.sensors[: max(touches - 1, 0)]), EARLIER)
+        return blend(image, self.outline, 0.9)
 
     def draw(self) -> Iterator[tuple[Image.Image, int]]:
         """Yield each picture, and the milliseconds for which it is shown."""
@@ -169,19 +165,6 @@ def describe(found: Localization | None) -> str:
     errors_m = found.measure_errors_m(found.object)
     assert errors_m is not None
     return f"{text} fits, within {np.ceil(1e5 * errors_m[0]) / 100:.2f} mm of the true pose"
-
-
-def put(below: Layer, above: Layer, opacity: float) -> Layer:
-    """Return a layer with another one over it that is seen through."""
-    above = np.float32(opacity) * above
-    return above + (1 - above[..., 3:]) * below
-
-
-@cache
-def find_font(size: int, style: str = "") -> ImageFont.FreeTypeFont:
-    """Return the font that matplotlib ships."""
-    name = f"DejaVuSans{'-' if style else ''}{style}.ttf"
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
 
 
 def save(path: Path, film: Film) -> Path:

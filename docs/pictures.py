@@ -33,7 +33,7 @@ from tactile_loc.tracking.pose_modes import MOST_MODES
 from tactile_loc.tracking.tracked_pose import TrackedPose
 from tactile_loc.tracking.tracker import Tracker
 from tactile_loc.view.drawn_scene import DrawnScene, DrawnSensor
-from tactile_loc.view.one_versus_several import draw_one_versus_several
+from tactile_loc.view.one_versus_several import draw_one_versus_several, save_picture
 from tactile_loc.view.palette import DARK, LIGHT
 from tactile_loc.view.pictures import (
     compute_extent_mm,
@@ -330,8 +330,7 @@ def save_demo(out: Path) -> None:
     alone, together = localize_together(observations[:1]), localize_together(observations)
     title = f"{together.verdict}: {localizer.object.name} on {localizer.config.sensor.name}"
     for name, palette in (("demo", LIGHT), ("demo-dark", DARK)):
-        figure = draw_one_versus_several(alone, together, title)
-        print(save_figure(out / f"{name}.png", palette.repaint(figure)))
+        print(save_picture(out / f"{name}.png", draw_one_versus_several(alone, together, title, palette)))
 
 
 def tell_stories(out: Path) -> None:

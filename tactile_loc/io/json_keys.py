@@ -34,6 +34,8 @@ def write_keys(keys: Keys, noun: object, **others: Any) -> dict[str, Any]:
 def make_json(value: Any) -> Any:
     """Return a value as plain JSON: arrays and tuples as lists, numbers that are not finite as null, others as text."""
     if isinstance(value, (np.ndarray, np.generic)):
+        if value.dtype.kind in "fiub" and np.isfinite(value).all():
+            return value.tolist()
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(name): make_json(one) for name, one in value.items()}

@@ -1,75 +1,87 @@
-"""Picture of the reason to touch again: the poses that explain one touch, beside the pose that explains all touches."""
+"""Picture of the reason to touch again: the poses that explain one touch, beside the pose that explains all touches.
+
+Pillow draws it, because to import matplotlib takes longer than to locate an object.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import cache, cached_property
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from tactile_loc.core.geometry.rigid import Float32, Floats
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.formatting import format_millimetres
+from tactile_loc.core.sensing.touch import Touch
+from tactile_loc.io.shape_pictures import paint_shape
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.view.drawn_scene import EDGE, GEL, HOUSING, STEEL, TRUTH, DrawnScene, DrawnSensor, move_triangles
-from tactile_loc.view.palette import LIGHT
-from tactile_loc.view.pictures import draw_contact_shape, draw_outline, make_figure
-from tactile_loc.view.pose_panel import SUPERSAMPLE, Canvas, choose_view, fit_bounds
-from tactile_loc.view.raytracing import average, unmultiply
+from tactile_loc.store.files import write_atomically
+from tactile_loc.view.drawn_scene import (
+    GEL,
+    HOUSING,
+    STEEL,
+    TRUTH,
+    DrawnScene,
+    DrawnSensor,
+    find_extent_m,
+    move_triangles,
+    trace_outlines_m,
+)
+from tactile_loc.view.palette import LIGHT, Palette
+from tactile_loc.view.pose_panel import TRUTH_OPACITY, Canvas, choose_view, fit_bounds
+from tactile_loc.view.raytracing import blend, unmultiply
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
-
-Image = Float32  # (H, W, 4): colours, 0 to 1, multiplied by opacity, and opacity
-
-SHAPE = 0.21  # width of a drawn contact shape, in widths of its side of the figure
 MOST_GHOSTS, MOST_SHAPES = 6, 4  # largest numbers of drawn poses of the first touch, and of drawn contact shapes
-PIXELS = 480
-GHOST, SEEN_THROUGH, TRUTH_OPACITY = 0.45, 0.5, 0.95  # opacity of the first touch's poses, other sensors and lines
+GHOST, SEEN_THROUGH = 0.45, 0.5  # opacity of the first touch's poses, and of other sensors
 EDGE_STEP = 0.04  # depth step that counts as an edge, in sizes of the object
-WIDTH_IN, HEIGHT_IN = 12.0, 6.8
 LABEL = 0.55  # place of a sensor's label: 0 for the gel's middle, 1 for its corner
 MARGIN = 0.05  # free space around the drawn solids, in sizes of the picture
+# pixels
+WIDTH, HEIGHT = 780, 884  # of a side of the picture
+SCENE_TOP, SCENE_WIDTH, SCENE_HEIGHT = 354, 748, 482  # of the solids
+PIXELS = 480  # along the longer side of the rendered solids
+SHAPE, SHAPE_TOP, GAP = 145, 168, 19  # longer side of a contact shape, its place, and the space between two
+SIGN, BETWEEN = 58, 36  # width of a sign of the legend with its space, and the space between two entries
+OVERSIZE = 3  # scale at which outlines of contact are drawn
+TITLE, HEAD, TEXT, SMALL, SMALLEST = 27, 25, 21, 19, 6  # sizes of texts
+BOLD = "Bold"
 
 
-def draw_one_versus_several(alone: Localization, together: Localization, title: str) -> Figure:
+def draw_one_versus_several(
+    alone: Localization, together: Localization, title: str, palette: Palette = LIGHT
+) -> Image.Image:
     """Draw the first touch and the poses that explain it, beside all touches and the first pose that explains them.
 
     `alone` is the result of the first touch of `together`. Lines show the true pose if it is known.
     """
-    figure = make_figure(WIDTH_IN, HEIGHT_IN)
-    figure.suptitle(title, size=15, weight="bold", x=0.5, y=0.975)
-    panels: Any = figure.subfigures(1, 2)
-    left, right = panels
+    page = Image.new("RGB", (2 * WIDTH, HEIGHT), palette.paper)
     ghosts = [h.T_sensor_object for h in alone.equal_explanations[:MOST_GHOSTS]]
     view = _SharedView.of(DrawnScene.of(together), ghosts)
-    _draw_side(left, alone, "the first touch alone")
-    _draw_image(left, view, view.draw_ghosts(ghosts))
-    _draw_side(right, together, f"{len(together.touches)} touches together")
-    axes = _draw_image(right, view, view.draw_touched())
-    view.label_sensors(axes)
-    _draw_legend(left, {"poses that explain the touch": STEEL}, alone)
-    _draw_legend(right, {"first pose": STEEL}, together)
-    return figure
+    left, right = (_Side(page, start, palette) for start in (0, WIDTH))
+    left.draw(alone, "the first touch alone", "poses that explain the touch")
+    left.put_scene(view.draw_ghosts(ghosts), [])
+    right.draw(together, f"{len(together.touches)} touches together", "first pose")
+    right.put_scene(view.draw_touched(), view.place_labels())
+    left.write((WIDTH, 34), title, TITLE, style=BOLD, most=2 * WIDTH)
+    return page
 
 
-def _draw_side(panel: SubFigure, found: Localization, of: str) -> None:
-    """Write what the touches show, and draw their contact shapes."""
+def save_picture(path: Path, picture: Image.Image) -> Path:
+    """Write a picture atomically, and return the path. Raises OutputError if the file cannot be written."""
+    return write_atomically(path, lambda temporary: picture.save(temporary, compress_level=2))
+
+
+def describe_side(found: Localization, of: str) -> tuple[str, str]:
+    """Return the two lines above a side of the picture: the verdict, and what the touches show."""
     errors_m = found.measure_errors_m(found.object)
     off = "" if errors_m is None else f"; first pose: {format_millimetres(errors_m[0])} off"
-    panel.text(0.5, 0.882, f"{of}: {found.verdict}", size=14, ha="center", weight="bold")
-    panel.text(0.5, 0.845, f"{found.count_explanations()}{off}", size=11.5, ha="center", color=LIGHT.soft)
-    shown = found.touches[:MOST_SHAPES]
-    width, height = SHAPE, SHAPE * WIDTH_IN / 2 / HEIGHT_IN
-    first = 0.5 - 0.5 * width * len(shown)
-    for number, touch in enumerate(shown):
-        axes = panel.add_axes((first + number * width + 0.01, 0.83 - height, width - 0.02, height - 0.02))
-        draw_contact_shape(axes, touch.contact_shape, touch.geometry)
-        draw_outline(axes, touch)
-        axes.set(xticks=[], yticks=[])
-        axes.set_xlabel(name_touch(number), size=10.5, labelpad=3)
+    return f"{of}: {found.verdict}", f"{found.count_explanations()}{off}"
 
 
 def name_touch(number: int) -> str:
@@ -77,29 +89,91 @@ def name_touch(number: int) -> str:
     return f"touch {number + 1}"
 
 
-def _draw_image(panel: SubFigure, view: _SharedView, image: Image) -> Axes:
-    axes: Axes = panel.add_axes((0.02, 0.055, 0.96, 0.545))
-    axes.imshow(unmultiply(image), extent=view.canvas.bounds, interpolation="antialiased")
-    axes.set(xlim=view.canvas.bounds[:2], ylim=view.canvas.bounds[2:], aspect="equal")
-    axes.set_axis_off()
-    return axes
+@cache
+def find_font(size: float, style: str = "") -> ImageFont.FreeTypeFont:
+    """Return the font that matplotlib ships, without importing matplotlib unless its files lie elsewhere."""
+    name = Path("fonts", "ttf", f"DejaVuSans{'-' if style else ''}{style}.ttf")
+    spec = find_spec("matplotlib")
+    path = Path(str(spec and spec.origin)).parent / "mpl-data" / name
+    if not path.is_file():
+        from matplotlib import get_data_path
+
+        path = get_data_path() / name
+    return ImageFont.truetype(str(path), size, layout_engine=ImageFont.Layout.BASIC)
 
 
-def _draw_legend(panel: SubFigure, colours: dict[str, Any], found: Localization) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
+@dataclass(frozen=True)
+class _Side:
+    """A half of a picture, which starts at the pixel column `left`. Places are pixels from its upper left corner."""
 
-    handles: list[Any] = [Patch(fc=colour, ec=EDGE, lw=0.8, label=label) for label, colour in colours.items()]
-    if found.touch.T_sensor_object is not None:
-        handles.append(Line2D([], [], color=TRUTH, lw=1.5, label="true pose"))
-    panel.legend(
-        handles=handles, loc="lower center", bbox_to_anchor=(0.5, 0.005), ncols=2, frameon=False, fontsize=11.5
-    )
+    page: Image.Image
+    left: int
+    palette: Palette
+
+    def write(self, at: Any, text: str, size: float, style: str = "", most: float = WIDTH, **look: Any) -> None:
+        """Write a line around a place (x, y). It is smaller if it is wider than `most` pixels less a margin."""
+        while size > SMALLEST and (wide := find_font(size, style).getlength(text)) > most - 2 * GAP:
+            size = max(SMALLEST, min(size - 1, size * (most - 2 * GAP) / wide))
+        look = {"fill": self.palette.ink, "anchor": "mm"} | look
+        ImageDraw.Draw(self.page).text((self.left + at[0], at[1]), text, font=find_font(size, style), **look)
+
+    def draw(self, found: Localization, of: str, blue: str) -> None:
+        """Write what the touches show, draw their contact shapes, and explain the colours."""
+        head, text = describe_side(found, of)
+        self.write((WIDTH / 2, 96), head, HEAD, BOLD)
+        self.write((WIDTH / 2, 130), text, TEXT, fill=self.palette.soft)
+        shown = found.touches[:MOST_SHAPES]
+        x = (WIDTH - SHAPE * len(shown) - GAP * (len(shown) - 1)) // 2
+        for number, touch in enumerate(shown):
+            self._put_shape(x, touch)
+            self.write((x + SHAPE / 2, SHAPE_TOP + SHAPE + 14), name_touch(number), SMALL)
+            x += SHAPE + GAP
+        self._draw_legend(blue, found.touch.T_sensor_object is not None)
+
+    def _put_shape(self, x: int, touch: Touch) -> None:
+        """Draw a contact shape as the sensor sees it, x right and y down, with the outline of the contact."""
+        left, right, bottom, top = find_extent_m(touch.geometry)
+        scale = SHAPE / max(right - left, bottom - top)
+        width, height = round(scale * (right - left)), round(scale * (bottom - top))
+        picture = Image.fromarray(paint_shape(touch.contact_shape, touch.geometry))
+        picture = picture.resize((OVERSIZE * width, OVERSIZE * height), Image.Resampling.BILINEAR)
+        pen = ImageDraw.Draw(picture)
+        for line_m in trace_outlines_m(touch.contact_shape, touch.geometry):
+            places = (line_m[:, :2] - [left, top]) * OVERSIZE * scale
+            pen.line([tuple(place) for place in places], self.palette.contact, 2 * OVERSIZE, joint="curve")
+        at = self.left + x + (SHAPE - width) // 2, SHAPE_TOP + (SHAPE - height) // 2
+        self.page.paste(picture.resize((width, height), Image.Resampling.BOX), at)
+        frame = at[0] - 1, at[1] - 1, at[0] + width, at[1] + height
+        ImageDraw.Draw(self.page).rectangle(frame, outline=self.palette.ink, width=2)
+
+    def put_scene(self, image: Float32, labels: Sequence[Floats]) -> None:
+        """Draw a picture (H, W, 4) of solids as large as fits below the contact shapes, and name its sensors.
+
+        `labels` are the places (2,) of the names: see `_SharedView.place_labels`.
+        """
+        small = Image.fromarray((255 * unmultiply(image) + 0.5).astype(np.uint8))
+        scale = min(SCENE_WIDTH / small.width, SCENE_HEIGHT / small.height)
+        large = small.resize((round(scale * small.width), round(scale * small.height)), Image.Resampling.BICUBIC)
+        x, y = (WIDTH - large.width) // 2, SCENE_TOP + (SCENE_HEIGHT - large.height) // 2
+        self.page.paste(large, (self.left + x, y), large)
+        for number, (right, down) in enumerate(labels):
+            at = x + right * large.width, y + down * large.height
+            self.write(at, name_touch(number), TEXT, stroke_width=3, stroke_fill=self.palette.paper)
+
+    def _draw_legend(self, blue: str, knows_truth: bool) -> None:
+        """Explain the blue solids and, if they are drawn, the lines of the true pose."""
+        font, pen, y = find_font(TEXT), ImageDraw.Draw(self.page), HEIGHT - 36
+        words = [blue, "true pose"][: 1 + knows_truth]
+        x = self.left + 0.5 * (WIDTH - sum(SIGN + font.getlength(word) for word in words) - BETWEEN * knows_truth)
+        for word, colour, half in zip(words, (self.palette.best, self.palette.truth), (7, 1), strict=False):
+            pen.rectangle((x, y - half, x + SIGN - 16, y + half), colour, self.palette.ink if half > 1 else None)
+            pen.text((x + SIGN, y), word, self.palette.ink, font, anchor="lm")
+            x += SIGN + font.getlength(word) + BETWEEN
 
 
 @dataclass(frozen=True, eq=False)
 class _SharedView:
-    """A scene from one viewpoint, for both sides of the figure."""
+    """A scene from one viewpoint, for both sides of the picture."""
 
     scene: DrawnScene
     canvas: Canvas
@@ -114,49 +188,45 @@ class _SharedView:
         size_mm = 1e3 * float(np.ptp(scene.mesh.triangles_m.reshape(-1, 3), axis=0).max())
         return cls(scene, Canvas(view, bounds, PIXELS, EDGE_STEP * size_mm))
 
-    def draw_ghosts(self, T_sensor_object: Sequence[Floats]) -> Image:
+    @cached_property
+    def truth(self) -> Float32 | None:
+        """A picture of the object's edges at the true pose, if it is known."""
+        return None if self.scene.truth_m is None else self.canvas.draw_edges(1e3 * self.scene.truth_m, TRUTH)
+
+    def draw_ghosts(self, T_sensor_object: Sequence[Floats]) -> Float32:
         """Return a picture of the first sensor and the object at each pose (4, 4), metres, seen through."""
         first = self.scene.sensors[:1]
         image = self._draw([], first)
         for ghost in map_in_threads(lambda T: self._draw([T], first), T_sensor_object[::-1]):
-            image = _blend(image, ghost, GHOST)
+            image = blend(image, ghost, GHOST)
         return self._mark_truth(image)
 
-    def draw_touched(self) -> Image:
+    def draw_touched(self) -> Float32:
         """Return a picture of the object at the first pose, on the first sensor; others are seen through."""
         best, sensors = [self.scene.poses[0]], self.scene.sensors
-        return self._mark_truth(_blend(self._draw(best, sensors[:1]), self._draw(best, sensors), SEEN_THROUGH))
+        return self._mark_truth(blend(self._draw(best, sensors[:1]), self._draw(best, sensors), SEEN_THROUGH))
 
-    def label_sensors(self, axes: Axes) -> None:
-        """Write each touch's name on its sensor, in the corner that is farthest from the object and other sensors."""
-        from matplotlib.patheffects import withStroke
+    def place_labels(self) -> list[Floats]:
+        """Return a place (2,) for the label of each sensor, from 0 to 1, right and down in the picture.
 
+        It is near the corner of the gel that is farthest from the object and other sensors.
+        """
+        left, right, bottom, top = self.canvas.bounds
         solids = [self.scene.object_m, *(sensor.gel_m for sensor in self.scene.sensors)]
         flat = [self.canvas.view.project(1e3 * triangles_m).reshape(-1, 2) for triangles_m in solids]
-        middles = np.stack([points.mean(axis=0) for points in flat])
-        halo = [withStroke(linewidth=2.5, foreground="white")]
+        middles, places = np.stack([points.mean(axis=0) for points in flat]), []
         for number, corners in enumerate(flat[1:]):
             others = np.delete(middles, number + 1, axis=0)
             free_mm = np.linalg.norm(corners[:, None] - others, axis=-1).min(axis=1)
             at = LABEL * corners[free_mm.argmax()] + (1 - LABEL) * middles[number + 1]
-            axes.text(at[0], at[1], name_touch(number), size=11.5, ha="center", va="center", path_effects=halo)
+            places.append((at - [left, top]) / [right - left, bottom - top])
+        return places
 
-    def _draw(self, T_sensor_object: Sequence[Floats], sensors: Sequence[DrawnSensor]) -> Image:
+    def _draw(self, T_sensor_object: Sequence[Floats], sensors: Sequence[DrawnSensor]) -> Float32:
         surfaces = [move_triangles(self.scene.mesh.triangles_m, T) for T in T_sensor_object]
         colours = [STEEL] * len(surfaces) + [GEL, HOUSING] * len(sensors)
         surfaces += [part for sensor in sensors for part in (sensor.gel_m, sensor.housing_m)]
-        _, image = self.canvas.draw_solids([1e3 * surface for surface in surfaces], colours)
-        return average(image, SUPERSAMPLE)
+        return self.canvas.draw_solids([1e3 * surface for surface in surfaces], colours)[1]
 
-    def _mark_truth(self, image: Image) -> Image:
-        if self.scene.truth_m is None:
-            return image
-        lines = np.zeros((*self.canvas.shape, 4), np.float32)
-        self.canvas.draw_edges(lines, 1e3 * self.scene.truth_m, TRUTH, 1.0)
-        return _blend(image, average(lines, SUPERSAMPLE), TRUTH_OPACITY)
-
-
-def _blend(below: Image, above: Image, opacity: float) -> Image:
-    """Return a picture (H, W, 4) with another one over it that is seen through."""
-    above = np.float32(opacity) * above
-    return above + (1 - above[..., 3:]) * below
+    def _mark_truth(self, image: Float32) -> Float32:
+        return image if self.truth is None else blend(image, self.truth, TRUTH_OPACITY)

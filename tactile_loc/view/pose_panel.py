@@ -9,17 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, transform_points
+from tactile_loc.core.geometry.rigid import Float32, Floats, transform_points
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.view.drawn_scene import EDGE, GEL, GEL_M, HOUSING, RIM_M, STEEL, TRUTH, DrawnScene
-from tactile_loc.view.raytracing import Bounds, Buffers, Tracer, Viewpoint, shade, shrink
+from tactile_loc.view.palette import Palette
+from tactile_loc.view.raytracing import Bounds, Buffers, Tracer, Viewpoint, blend, count_marked, unmultiply
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
 PIXELS, SUPERSAMPLE = 620, 2
+TRUTH_OPACITY = 0.95
+LIFT_MM = 0.02  # distance by which points are lifted, so that they do not shade themselves
 AZIMUTHS_DEG = (-55.0, -35.0, 35.0, 55.0, -145.0, -125.0, 125.0, 145.0)
 TICK_PT, VALUE_PT = 5.0, 12.0  # length of a tick, and distance of its value
 LABEL_PT, WIDER_PT = 27.0, 18.0  # distance of an axis's label: the second part is added where the text is beside it
@@ -36,8 +39,8 @@ def draw_pose(axes: Axes, scene: DrawnScene) -> None:
     canvas = Canvas(view, bounds, PIXELS, 0.04 * float(np.ptp(estimate.reshape(-1, 3), axis=0).max()))
     seen, image = canvas.draw_solids([estimate, *floor], [STEEL, GEL, HOUSING])
     if truth is not None:
-        canvas.draw_edges(image, truth, TRUTH, 0.95)
-    axes.imshow(shrink(image, SUPERSAMPLE), extent=bounds, interpolation="antialiased", zorder=1)
+        image = blend(image, canvas.draw_edges(truth, TRUTH), TRUTH_OPACITY)
+    axes.imshow(unmultiply(image), extent=bounds, interpolation="antialiased", zorder=1)
     top_mm = max(float(s[..., 2].max()) for s in (estimate, truth) if s is not None)
     height_mm = max(top_mm - 1e3 * sensor.geometry.surface_m, 5.0)
     _draw_axes(axes, view, sensor.geometry, height_mm, seen)
@@ -69,7 +72,7 @@ def fit_bounds(view: Viewpoint, surfaces: Sequence[Floats], margin: float, top_m
 class Canvas:
     """A picture of solids from a view, with `bounds` (left, right, bottom, top), mm.
 
-    The longer side has `pixels` times SUPERSAMPLE pixels. A depth step of `step_mm` counts as an edge.
+    The longer side has `pixels`. A depth step of `step_mm` counts as an edge.
     """
 
     view: Viewpoint
@@ -79,35 +82,24 @@ class Canvas:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """The size (H, W) of the picture in pixels."""
+        """The number of rays (H, W): SUPERSAMPLE x SUPERSAMPLE for each pixel."""
         width, height = self.bounds[1] - self.bounds[0], self.bounds[3] - self.bounds[2]
         scale = self.pixels / max(width, height)
         return max(1, round(height * scale)) * SUPERSAMPLE, max(1, round(width * scale)) * SUPERSAMPLE
 
     def draw_solids(self, surfaces_mm: Sequence[Floats], colours: Sequence[Floats]) -> tuple[Buffers, Float32]:
-        """Return the hits and an RGBA image (H, W, 4) of shaded surfaces (F, 3, 3), mm, with dark edges."""
+        """Return the hits and a picture of shaded surfaces (F, 3, 3), mm, with dark edges."""
         tracer = Tracer(list(surfaces_mm), self.view)
         seen = tracer.look(self.bounds, self.shape)
-        image = shade(seen, np.array(colours), tracer.cast_shadow(seen, 0.02))
-        paint(image, seen.find_edges(self.step_mm) & seen.hit, EDGE, 0.75)
-        return seen, image
+        return seen, tracer.paint(seen, np.array([*colours, Palette.rgb(EDGE)]), self.step_mm, LIFT_MM, SUPERSAMPLE)
 
-    def draw_edges(self, image: Float32, surface_mm: Floats, colour: str, opacity: float) -> None:
-        """Draw the edges of a surface (F, 3, 3), mm, into an RGBA image (H, W, 4), in place."""
-        seen = Tracer([surface_mm], self.view).look(self.bounds, self.shape)
-        marked = seen.find_edges(self.step_mm)
-        thick = marked.copy()
-        thick[1:] |= marked[:-1]
-        thick[:, 1:] |= marked[:, :-1]
-        paint(image, thick, colour, opacity)
-
-
-def paint(image: Float32, where: Bools, colour: str, opacity: float) -> None:
-    """Blend a colour into the marked pixels (H, W) of an RGBA image, in place."""
-    from matplotlib.colors import to_rgb
-
-    image[where, :3] = (1 - opacity) * image[where, :3] + opacity * np.array(to_rgb(colour))
-    image[where, 3] = np.maximum(image[where, 3], opacity)
+    def draw_edges(self, surface_mm: Floats, colour: str, width: int = 2) -> Float32:
+        """Return a picture of the edges of a surface (F, 3, 3), mm. Lines are `width` rays wide."""
+        thick = Tracer([surface_mm], self.view).look(self.bounds, self.shape).find_edges(self.step_mm)
+        for _ in range(width - 1):
+            thick[1:] |= thick[:-1].copy()
+            thick[:, 1:] |= thick[:, :-1].copy()
+        return count_marked(thick, SUPERSAMPLE)[..., None] * np.array([*Palette.rgb(colour), 1.0], np.float32)
 
 
 def _draw_axes(axes: Axes, view: Viewpoint, geometry: SensorGeometry, height_mm: float, seen: Buffers) -> None:

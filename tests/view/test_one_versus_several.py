@@ -2,13 +2,16 @@
 
 import dataclasses
 
-import matplotlib.pyplot as plt
+import numpy as np
 import pytest
+from message_helpers import missing
+from PIL import Image
 
 from tactile_loc import localize_together
-from tactile_loc.view.one_versus_several import draw_one_versus_several
-
-pytestmark = pytest.mark.usefixtures("arranged_pictures")
+from tactile_loc.core.runtime.errors import OutputError
+from tactile_loc.view import one_versus_several
+from tactile_loc.view.one_versus_several import describe_side, draw_one_versus_several, find_font, save_picture
+from tactile_loc.view.palette import DARK, LIGHT, Palette
 
 
 @pytest.fixture(scope="module")
@@ -19,23 +22,79 @@ def pair(localizer):
     return localize_together(observations[:1]), localize_together(observations)
 
 
-def test_both_sides_state_verdict_and_error(pair):
-    figure = draw_one_versus_several(*pair, "a pin")
-    shown = [text.get_text() for text in figure.findobj(plt.Text)]
+@pytest.fixture
+def written(monkeypatch):
+    """The texts that a picture shows, with their places."""
+    texts = []
+    plain = one_versus_several._Side.write
+
+    def keep(side, at, text, *others, **look):
+        texts.append((text, side.left + at[0], at[1]))
+        plain(side, at, text, *others, **look)
+
+    monkeypatch.setattr(one_versus_several._Side, "write", keep)
+    return texts
+
+
+def forget_truth(found):
+    return dataclasses.replace(found, touch=dataclasses.replace(found.touch, T_sensor_object=None))
+
+
+def count_orange(picture):
+    """Return the number of pixels (left half, right half) below the contact shapes with the true pose's colour."""
+    below = np.asarray(picture, float)[one_versus_several.SCENE_TOP :]
+    near = np.abs(below - 255 * Palette.rgb(LIGHT.truth)).max(axis=-1) < 40
+    return [half.sum() for half in np.split(near, 2, axis=1)]
+
+
+def test_both_sides_state_verdict_and_error(pair, written):
+    picture = draw_one_versus_several(*pair, "a pin")
+    shown = [text for text, _, _ in written]
     assert "a pin" in shown
-    for found in pair:
-        assert any(text.endswith(f": {found.verdict}") for text in shown)
-        assert any(text.startswith(found.count_explanations()) and text.endswith(" off") for text in shown)
+    for found, of in zip(pair, ("the first touch alone", "2 touches together"), strict=True):
+        head, text = describe_side(found, of)
+        assert {head, text} <= set(shown)
+        assert not missing(head, of, str(found.verdict))
+        assert not missing(text, found.count_explanations(), " off")
     assert shown.count("touch 2") == 2  # a contact shape and a sensor
+    assert all(0 < x < picture.width and 0 < y < picture.height for _, x, y in written)
 
 
-def test_no_true_pose_is_drawn_if_it_is_unknown(pair):
-    unknown = [
-        dataclasses.replace(found, touch=dataclasses.replace(found.touch, T_sensor_object=None)) for found in pair
-    ]
-    figure = draw_one_versus_several(*unknown, "a pin")
-    shown = [text.get_text() for text in figure.findobj(plt.Text)]
-    assert not any("true" in text or text.endswith(" off") for text in shown)
+def test_the_true_pose_is_drawn_on_both_sides_only_if_it_is_known(pair):
+    assert min(count_orange(draw_one_versus_several(*pair, "a pin"))) > 100
+    unknown = [forget_truth(found) for found in pair]
+    assert max(count_orange(draw_one_versus_several(*unknown, "a pin"))) == 0
+    assert not any("off" in describe_side(found, "")[1] for found in unknown)
+
+
+def test_long_texts_are_made_smaller(pair):
+    plain, long = (np.asarray(draw_one_versus_several(*pair, text)) for text in ("a pin", "a pin " * 40))
+    paper = np.array([255, 255, 255])
+    heading = long[:60]
+    assert (heading != paper).any()
+    assert (heading[:, :5] == paper).all()
+    assert (heading[:, -5:] == paper).all()
+    assert np.array_equal(plain[70:], long[70:])
+
+
+def test_dark_pictures_have_dark_paper_and_the_same_colours(pair):
+    dark = np.asarray(draw_one_versus_several(*pair, "a pin", DARK))
+    assert np.array_equal(dark[0, 0], 255 * Palette.rgb(DARK.paper))
+    assert min(count_orange(dark)) > 100
+
+
+def test_a_picture_is_written_whole_or_not_at_all(tmp_path):
+    picture = Image.new("RGB", (5, 3), "#123456")
+    with Image.open(save_picture(tmp_path / "some" / "picture.png", picture)) as read:
+        assert read.size == (5, 3)
+        assert read.getpixel((4, 2)) == (0x12, 0x34, 0x56)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError):
+        save_picture(tmp_path / "file" / "picture.png", picture)
+
+
+def test_bold_letters_are_wider():
+    assert find_font(20, "Bold").getlength("certain") > find_font(20).getlength("certain")
 
 
 def test_equal_explanations_are_within_a_small_difference_of_the_best(pair):

@@ -94,13 +94,14 @@ def _locate_together(
     from tactile_loc.locate.several_touches import localize_together
 
     observations = _read_observations(localizer)
-    drawing = import_ahead("matplotlib.backends.backend_agg", "matplotlib.figure")
+    simulated = localizer.config.touch.path is None
+    drawing = import_ahead(*([] if simulated else ["matplotlib.backends.backend_agg", "matplotlib.figure"]))
     known = None if prior is None else read_prior(prior, localizer.object).view_from(observations[0][1].T_base_sensor)
     start = time.perf_counter()
     for one, touch in observations:
         build_model(one, touch.press_depth_m)
     seconds = {"model": time.perf_counter() - start}
-    alone = localize_together(observations[:1], known) if localizer.config.touch.path is None else None
+    alone = localize_together(observations[:1], known) if simulated else None
     localization = localize_together(observations, known)
     located = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
     drawing.join()
@@ -190,23 +191,26 @@ def _write_result(
     localization: Localization, scene: Scene, out: Path, page: bool, alone: Localization | None
 ) -> list[Path]:
     """Write the files and the picture of a result and, with `page`, its report. Return their paths."""
-    from tactile_loc.view.one_versus_several import draw_one_versus_several
-    from tactile_loc.view.pictures import draw_result, save_figure
-    from tactile_loc_cli.results import make_title
-
-    if alone is None:
-        errors_m = localization.measure_errors_m(scene.object)
-        figure = draw_result(localization, scene, make_title(localization), errors_m)
-    else:
-        figure = draw_one_versus_several(alone, localization, make_title(localization))
     with lock_folder(out):
-        written = [*localization.save(out, locked=True), save_figure(out / "result.png", figure)]
+        written = [*localization.save(out, locked=True), _draw(localization, scene, out / "result.png", alone)]
         if page:
             from tactile_loc.reports.report import DEFAULT_NAME, write_page
             from tactile_loc.reports.run import make_result_page
 
             written.append(write_page(make_result_page(localization.reduce()), out / DEFAULT_NAME))
     return written
+
+
+def _draw(localization: Localization, scene: Scene, path: Path, alone: Localization | None = None) -> Path:
+    """Write the picture of a result, and return its path."""
+    from tactile_loc.view.one_versus_several import draw_one_versus_several, save_picture
+    from tactile_loc.view.pictures import draw_result, save_figure
+    from tactile_loc_cli.results import make_title
+
+    if alone is not None:
+        return save_picture(path, draw_one_versus_several(alone, localization, make_title(localization)))
+    errors_m = localization.measure_errors_m(scene.object)
+    return save_figure(path, draw_result(localization, scene, make_title(localization), errors_m))
 
 
 def _locate_each(localizer: Localizer, folder: Path, out: Path, pictures: bool, page: bool) -> dict[str, Any]:
@@ -276,14 +280,10 @@ def _warn_of_doubtful(names: list[str]) -> None:
 def _write(localizer: Localizer, localization: Localization, folder: Path, picture: bool) -> None:
     """Write one touch's result and, with `picture`, its picture."""
     from tactile_loc.locate.result.result_json import NAME
-    from tactile_loc.view.pictures import draw_result, save_figure
-    from tactile_loc_cli.results import make_title
 
     write_json(folder / NAME, localization.to_json())
     if picture:
-        errors_m = localization.measure_errors_m(localizer.object)
-        figure = draw_result(localization, localizer.scene, make_title(localization), errors_m)
-        save_figure(folder / "result.png", figure)
+        _draw(localization, localizer.scene, folder / "result.png")
 
 
 def _make_json(located: LocatedFile, folder: Path) -> dict[str, Any]:

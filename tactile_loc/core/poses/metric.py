@@ -19,6 +19,7 @@ from tactile_loc.core.runtime.errors import GridError
 
 SPACING_SAMPLE = 1000
 LEAF = 32  # points in a leaf of a search tree; a tenth faster than 16
+FEW_PAIRS = 10_000  # pairs of poses; only with more of them, a search tree is worth its import and construction
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +155,14 @@ class PoseGrid:
 
         if self.metric.object.symmetry.continuous_axis is None:
             return self._tree
-        return cKDTree(self.metric.embed_orbits(self.T_sensor_object)[0], leafsize=LEAF)
+        return cKDTree(self._orbit_points, leafsize=LEAF)
+
+    @cached_property
+    def _orbit_points(self) -> Floats:
+        """The points of `_orbit_tree`."""
+        if self._level is not None:
+            return self._level[0]._orbit_points
+        return self.metric.embed_orbits(self.T_sensor_object)[0]
 
     def nearest(self, T_sensor_object: Poses, within_m: float = np.inf) -> tuple[Floats, Ints]:
         """Return the distance (M,), metres, and the index (M,) of the grid pose nearest to each pose (M, 4, 4).
@@ -163,7 +171,12 @@ class PoseGrid:
         index is -1. A small `within_m` makes the search faster.
         """
         points = self._move_to_level(self.metric.embed_orbits(T_sensor_object))
-        distances, indices = self._orbit_tree.query(points, distance_upper_bound=within_m)
+        if len(T_sensor_object) * len(self) <= FEW_PAIRS:
+            whole = np.linalg.norm(points[..., None, :] - self._orbit_points, axis=-1)
+            indices, distances = whole.argmin(axis=-1), whole.min(axis=-1)
+            distances[distances >= within_m] = np.inf
+        else:
+            distances, indices = self._orbit_tree.query(points, distance_upper_bound=within_m)
         best = distances.argmin(axis=0)
         columns = np.arange(len(best))
         distance, index = distances[best, columns], indices[best, columns]
@@ -178,7 +191,7 @@ class PoseGrid:
         if self._level is not None:
             return self._level[0].spacing_m
         if len(self) <= SPACING_SAMPLE:  # a tree would only take longer
-            points = self.metric.embed_orbits(self.T_sensor_object)[0]
+            points = self._orbit_points
             distances_m = measure_distances(points, points)
             np.fill_diagonal(distances_m, np.inf)
             return float(distances_m.min(axis=1).mean())
@@ -189,7 +202,7 @@ class PoseGrid:
     def distances(self, T_sensor_object: Poses) -> Floats:
         """Return the distances (N,), metres, of all grid poses from one pose (4, 4), up to symmetry."""
         same = self._move_to_level(self.metric.embed_orbits(T_sensor_object[None])[:, 0])
-        return np.asarray(measure_distances(self._orbit_tree.data, same).min(axis=1))
+        return np.asarray(measure_distances(self._orbit_points, same).min(axis=1))
 
     def neighbour_spacing(self, subset: Ints | None = None) -> Floats:
         """Return the distance (N,), metres, between each pose and the nearest other pose of the grid.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Float32, Floats, Poses
-from tactile_loc.core.objects.blocks import make_blocks, make_triangle_blocks
+from tactile_loc.core.objects.blocks import Blocks, make_triangle_blocks
 from tactile_loc.core.objects.mesh import TriangleMesh
 from tactile_loc.core.runtime.compiled import njit, run_in_threads
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -50,7 +50,8 @@ def draw_nearest_faces(
     The rays pass through evenly spaced x (W,) and y (H,). The depths (H, W) are in the unit of the triangles; a ray
     that misses all triangles has the depth inf. The faces (H, W) are indices of triangles, or -1 for a miss.
     """
-    block = make_blocks(triangles, len(triangles))  # the picture shows all triangles, so that none is worth skipping
+    # the picture shows all triangles, so that none is worth skipping
+    block = Blocks(np.ascontiguousarray(triangles), np.array([0, len(triangles)]), np.zeros((1, 3)), np.array([np.inf]))
     depth = np.empty((1, len(y), len(x)), np.float32)
     which = np.full(depth.shape, -1, np.int32)
     fx, fy = 1 / (x[1] - x[0]), 1 / (y[1] - y[0])

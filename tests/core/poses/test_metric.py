@@ -5,6 +5,7 @@ from pose_helpers import random_poses
 from scipy.spatial.distance import cdist
 
 from tactile_loc import ObjectModel, TriangleMesh, load_object
+from tactile_loc.core.poses import metric
 from tactile_loc.core.poses.metric import SPACING_SAMPLE, PoseGrid, PoseMetric, measure_distances, remove_equivalent
 from tactile_loc.plugin import GridError
 from tactile_loc.plugin.helpers import (
@@ -122,6 +123,13 @@ def test_the_distance_of_spheres_is_that_of_their_centres(make_object):
     np.testing.assert_allclose(metric.symmetric_distance(same, T1), 0, atol=1e-9)
 
 
+@pytest.fixture(params=["differences", "tree"])
+def ways_to_search(request, monkeypatch):
+    """Search the nearest pose by all differences, and by a tree."""
+    monkeypatch.setattr(metric, "FEW_PAIRS", 10**6 if request.param == "differences" else 0)
+
+
+@pytest.mark.usefixtures("ways_to_search")
 @pytest.mark.parametrize("symmetry", ["none", "x2*y2"])
 def test_the_nearest_pose_agrees_with_brute_force(make_box, symmetry):
     obj = make_box(0.03, 0.02, 0.01, symmetry=symmetry)
@@ -136,6 +144,7 @@ def test_the_nearest_pose_agrees_with_brute_force(make_box, symmetry):
     np.testing.assert_allclose(distance, rms.min(axis=1))
 
 
+@pytest.mark.usefixtures("ways_to_search")
 @pytest.mark.parametrize("symmetry", ["none", "x2*y2", "zinf*x2"])
 def test_the_nearest_pose_within_a_bound_is_the_nearest_or_none(make_box, cylinder, symmetry):
     obj = cylinder if "inf" in symmetry else make_box(0.03, 0.02, 0.01, symmetry=symmetry)
@@ -264,6 +273,7 @@ def test_distances_between_points_are_euclidean():
     )
 
 
+@pytest.mark.usefixtures("ways_to_search")
 @pytest.mark.parametrize("steps_m", [[0.02], [-0.02], [0.03, -0.01]])
 def test_a_raised_grid_equals_a_grid_of_raised_poses(grid, steps_m):
     raised = grid
