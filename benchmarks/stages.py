@@ -5,9 +5,13 @@ Touches of the whole object come from any direction, and are drawn by ray castin
 of its own. Before the timed examples, two other examples are located, so that everything is loaded and built. The table
 has medians in ms of all examples: matching, coarse registration, refinement, the choice of hypotheses, and the whole
 call; and the 95 % quantile of the whole call. A first pose is right if its pose error is at most 1 mm,
-and *shape* is the share with a shape distance of at most 1 mm.
+*listed* is the share with such a pose among the listed ones, and *shape* is the share with a shape distance of at most
+1 mm.
 
 *misplaced* examples have one sensor pose that is 5 mm and 10 degrees off. So no pose explains all of their touches.
+
+With `--before FOLDER`, processes with the older `tactile_loc` in that folder locate the same touches, in turn with the
+present one. With `--processor`, all times are processor times, which other programs hardly change.
 
 Meshes are given as FILE[:UNITS] or a demo object's name.
 """
@@ -21,6 +25,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +37,8 @@ from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.plugin.helpers import make_transform, rotation_about
 
 MS = 1e3
+KINDS = ("clean", "misplaced")
+SHARES = ("right", "listed", "shape")
 STAGES = ("match", "register", "refine", "choose")
 LOADING = 2  # examples located before the timed ones
 OFF_M, OFF_RAD = 5e-3, np.radians(10.0)  # error of a misplaced sensor
@@ -54,28 +61,29 @@ def measure(mesh: str, arguments: argparse.Namespace, store: StageStore) -> Iter
         for number in range(arguments.examples + LOADING)
     ]
     for count in arguments.touches:
-        for kind in ("clean", "misplaced") if count > 1 else ("clean",):
+        for kind in KINDS if count > 1 and not arguments.clean else KINDS[:1]:
             rows = [time_example(localizer, misplace(ts[:count]) if kind == "misplaced" else ts[:count])
                     for ts in examples][LOADING:]  # fmt: skip
             middle = {name: float(np.median([row[name] for row in rows])) for name in (*STAGES, "all")}
             last = float(np.quantile([row["all"] for row in rows], 0.95))
-            shares = {name: float(np.mean([row[name] for row in rows])) for name in ("right", "shape")}
+            shares = {name: float(np.mean([row[name] for row in rows])) for name in SHARES}
             yield {"object": name_asked(mesh), "touches": count, "kind": kind, **middle, "last": last, **shares}
 
 
 def time_example(localizer: Localizer, touches: list[Touch]) -> dict[str, float]:
-    """Return the ms of each stage and of the whole call, and whether the pose error and the shape are within 1 mm."""
+    """Return the ms of each stage and of the whole call, and whether SHARES of the poses are within 1 mm."""
     start = time.perf_counter()
     try:
         found = localize_together([(localizer, touch) for touch in touches])
     except TactileLocError:
         spent = {"all": MS * (time.perf_counter() - start)}
-        return dict.fromkeys(STAGES, np.nan) | spent | {"right": False, "shape": False}
+        return dict.fromkeys(STAGES, np.nan) | spent | dict.fromkeys(SHARES, False)
     spent = {"all": MS * (time.perf_counter() - start)}
-    first, truth = found.best.T_sensor_object[None], np.asarray(touches[0].T_sensor_object)
-    right = bool(measure_pose_errors(localizer.object, first, truth)[0] <= RIGHT_M)
-    shape = bool(measure_shape_distances(localizer.object.mesh, first, truth)[0] <= RIGHT_M)
-    return {name: MS * found.seconds.get(name, 0.0) for name in STAGES} | spent | {"right": right, "shape": shape}
+    poses, truth = np.stack([one.T_sensor_object for one in found.hypotheses]), np.asarray(touches[0].T_sensor_object)
+    right = measure_pose_errors(localizer.object, poses, truth) <= RIGHT_M
+    shape = bool(measure_shape_distances(localizer.object.mesh, poses[:1], truth)[0] <= RIGHT_M)
+    shares = dict(zip(SHARES, (bool(right[0]), bool(right.any()), shape), strict=True))
+    return {name: MS * found.seconds.get(name, 0.0) for name in STAGES} | spent | shares
 
 
 def main() -> None:
@@ -86,24 +94,32 @@ def main() -> None:
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
     parser.add_argument("--examples", type=int, default=30)
     parser.add_argument("--seed", type=int, default=35)
-    parser.add_argument("--store", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--clean", action="store_true", help="no misplaced examples")
+    parser.add_argument("--before", type=Path, help="folder of an older tactile_loc")
+    parser.add_argument("--processor", action="store_true", help="measure processor times")
+    for hidden in ("--only", "--store"):
+        parser.add_argument(hidden, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.store:  # this is a process with its own number of threads
-        for mesh in arguments.objects:
-            for row in measure(mesh, arguments, StageStore(arguments.store)):
-                print(json.dumps(row), flush=True)
+    if arguments.only:  # this is a process with its own number of threads
+        if arguments.processor:
+            time.perf_counter = time.process_time  # also for the times that a result states
+        for row in measure(arguments.only, arguments, StageStore(arguments.store)):
+            print(json.dumps(row), flush=True)
         return
     timed = [f"{name}, ms" for name in (*STAGES, "all", "95 %")]
-    print(write_head("object", "touches", "kind", "threads", *timed, "right", "shape"))
+    codes = {"now": None, "before": arguments.before} if arguments.before else {"": None}
+    print(write_head("object", "touches", "kind", *(["code"] if arguments.before else []), "threads", *timed, *SHARES))
     with tempfile.TemporaryDirectory() as folder:
-        for threads in arguments.threads:
+        for threads, mesh, (label, older) in product(arguments.threads, arguments.objects, codes.items()):
             environment = os.environ | {"NUMBA_NUM_THREADS": str(threads), "OMP_NUM_THREADS": "1"}
-            command = [sys.executable, *sys.argv, "--store", folder]
+            environment |= {} if older is None else {"PYTHONPATH": str(older.absolute())}
+            command = [sys.executable, *sys.argv, "--only", mesh, "--store", str(Path(folder) / label)]
             process = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
             for row in map(json.loads, process.stdout.splitlines()):
-                cells = [f"{row[name]:.1f}" for name in (*STAGES, "all", "last")]
-                about = f"{row['object']} | {row['touches']} | {row['kind']} | {threads}"
-                print(f"| {about} | {' | '.join(cells)} | {row['right']:.0%} | {row['shape']:.0%} |", flush=True)
+                about = [row["object"], row["touches"], row["kind"], *filter(None, [label]), threads]
+                times = [f"{row[name]:.1f}" for name in (*STAGES, "all", "last")]
+                shares = [f"{row[name]:.0%}" for name in SHARES]
+                print(f"| {' | '.join(map(str, [*about, *times, *shares]))} |", flush=True)
 
 
 if __name__ == "__main__":
