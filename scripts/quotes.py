@@ -320,6 +320,16 @@ QUOTES: dict[str, dict[str, Values]] = {
         "identified as another part in {} % of the examples":
             lambda r: [100 - r.at("identify", 1, "unknown: rejected", "2")[0]],
     },
+    "docs/vision.md": {
+        "The right pose of ten was first in {} % of the lists before the touch, and in {} % after it": lambda r: [
+            mean(r.column("vision_lists", 1, column)) for column in ("first before", "first after")
+        ],
+        "this pose was right in {} of {} lists": lambda r: list(
+            map(sum, zip(*(r.at("vision_lists", 1, "right of these", one[0]) for one in r["vision_lists"].table(1).rows)))
+        ),
+        "The first pose of plug 01053 is right in {} %":
+            lambda r: r.at("vision_lists", 1, "first after", "01053_plug")[:1],
+    },
     "docs/benchmarks/real-images.md": {
         "the error with five spread presses is {}, {}, {} and {} times that with all presses": presses("5", 1),
         "With ten spread presses, it is {}, {}, {} and {} times": presses("10", 1),

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses.posterior import Mode as Mode
     from tactile_loc.core.poses.posterior import PosePosterior as PosePosterior
     from tactile_loc.core.poses.priors import GaussianPrior as GaussianPrior
+    from tactile_loc.core.poses.priors import HypothesesPrior as HypothesesPrior
     from tactile_loc.core.poses.priors import PosteriorPrior as PosteriorPrior
     from tactile_loc.core.poses.priors import RegionPrior as RegionPrior
     from tactile_loc.core.poses.tolerance import Tolerance as Tolerance
@@ -47,6 +48,8 @@ if TYPE_CHECKING:
     from tactile_loc.io.config import RunConfig as RunConfig
     from tactile_loc.io.images import IMAGE_SUFFIXES as IMAGE_SUFFIXES
     from tactile_loc.io.images import read_photo as read_photo
+    from tactile_loc.io.listed_poses import read_detections as read_detections
+    from tactile_loc.io.listed_poses import read_listed_poses as read_listed_poses
     from tactile_loc.io.meshes.mesh_files import Units as Units
     from tactile_loc.io.meshes.mesh_files import load_object as load_object
     from tactile_loc.io.meshes.mesh_files import simplify_mesh as simplify_mesh

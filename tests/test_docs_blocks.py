@@ -32,6 +32,7 @@ from tactile_loc.testing.problems import press_block
 ELSEWHERE = {
     "cli.md": "test_reference.py",  # generated
     "files.md": "test_docs_pages.py",
+    "vision.md": "test_docs_pages.py",
     "plugins.md": "test_docs_plugins.py",
     "plugin-examples.md": "test_docs_plugins.py",
     "tutorial-plugin.md": "test_docs_tutorial.py",

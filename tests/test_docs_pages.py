@@ -381,3 +381,21 @@ def test_the_chain_of_commands_runs_in_order_and_writes_the_listed_files(workpla
     assert {file for file in writers if file in before} == {file for file in writers if writers[file] == "you"}
     assert len(read_touch_list("touches/touches.toml")) == 3
     assert len(read_approaches("next/approaches.toml", np.eye(4))) == 50
+
+
+@pytest.mark.slow
+def test_the_touch_of_the_page_ranks_the_poses_of_its_list(workplace):
+    page = read_page("vision.md")
+    exec(compile(find_blocks(page, "python")[0], "vision.md", "exec"), {})
+    (workplace / "prior.toml").write_text(find_blocks(page, "toml")[0])
+    ((_, *words),) = list_commands(page)
+    done = CliRunner().invoke(app, words, prog_name="tactile-loc")
+    assert done.exit_code == 0, done.stderr
+    shown, found = (
+        re.findall(r"^ +(\d) +([\d.]+) +([\d.]+)$", text, re.MULTILINE)
+        for text in (find_blocks(page, "text")[0], done.stdout)
+    )
+    assert sorted(row[:2] for row in found) == sorted(row[:2] for row in shown)
+    np.testing.assert_allclose(
+        [float(row[2]) for row in sorted(found)], [float(row[2]) for row in sorted(shown)], atol=5
+    )

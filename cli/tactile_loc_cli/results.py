@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 IMPRINT = "imprint IoU %"
 MOST_NAMED = 3  # names of touches that are shown
+MOST_RANKED = 10  # listed poses that are shown
 NEXT_TOUCHES = 3  # approaches that are shown after an identification
 LEAST_SHOWN = 0.01  # least probability of unlisted poses that is shown
 POSE = ("x mm", "y mm", "z mm", "angle deg", "about axis")
@@ -73,6 +74,14 @@ def say_alone(alone: Localization, obj: ObjectModel) -> None:
     errors_m = alone.measure_errors_m(obj)
     off = "" if errors_m is None else f"; first pose: {format_millimetres(errors_m[0])} off"
     say(f"the first touch alone: {alone.verdict}, {alone.count_explanations()}{off}")
+
+
+def say_ranks(before: NDArray[np.float64], after: NDArray[np.float64]) -> None:
+    """Write the probabilities (K,), 0 to 1, of listed poses before and after the touches, the most probable first."""
+    order = np.argsort(-after, kind="stable")[:MOST_RANKED]
+    rows = [[str(k + 1), f"{100 * before[k]:.1f}", f"{100 * after[k]:.1f}"] for k in order]
+    say_table([["listed pose", "before %", "after %"], *rows], left=0, gap=2)
+    say(f"other poses: {100 * (1 - after.sum()):.1f} %")
 
 
 def _summarise(found: Localization) -> Iterator[str]:

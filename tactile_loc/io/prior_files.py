@@ -1,4 +1,4 @@
-"""Reads priors from TOML files, in mm and degrees: a Gaussian about a pose, a box, or a half-space."""
+"""Reads priors from TOML files, in mm and degrees: a Gaussian about a pose, a list of poses, a box or a half-space."""
 
 import math
 from dataclasses import dataclass
@@ -10,8 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.poses.priors import GaussianPrior, PosePrior, RegionPrior
+from tactile_loc.core.poses.priors import GaussianPrior, HypothesesPrior, PosePrior, RegionPrior
 from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.io.listed_poses import Scale, read_listed_poses
 from tactile_loc.io.toml import (
     MATRIX,
     POSITIVE_MM,
@@ -27,7 +28,8 @@ from tactile_loc.io.toml import (
 Frame = Literal["sensor", "base"]
 Bounds = Annotated[list[Annotated[float, Field(allow_inf_nan=True)]], Field(min_length=3, max_length=3)]
 FRAME = "'sensor' or 'base', the frame of the other numbers"
-KIND = "'gaussian', 'region' or 'half-space'"
+KIND = "'gaussian', 'hypotheses', 'region' or 'half-space'"
+STD_DEG = "a positive number (degrees), left out if the rotation is unknown"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +60,28 @@ class _Gaussian(PoseKeys):
     frame: Frame = Field(description=FRAME)
     T: Matrix | None = Field(None, description=MATRIX)
     translation_std_mm: Positive = Field(description=POSITIVE_MM)
-    rotation_std_deg: Positive | None = Field(
-        None, description="a positive number (degrees), left out if the rotation is unknown"
-    )
+    rotation_std_deg: Positive | None = Field(None, description=STD_DEG)
 
-    def make(self, obj: ObjectModel) -> PosePrior:
+    def make(self, obj: ObjectModel, folder: Path) -> PosePrior:
         T = self.read_pose("T")
         if T is None:
             raise ValueError(f"the pose is missing; {name_pose_keys('T')}")
-        rotation_std_deg = math.inf if self.rotation_std_deg is None else self.rotation_std_deg
-        return GaussianPrior(T, 1e-3 * self.translation_std_mm, math.radians(rotation_std_deg), obj.symmetry)
+        return _make_gaussian(self, T, obj)
+
+
+class _Hypotheses(PoseKeys):
+    kind: Literal["hypotheses"] = Field(description=KIND)
+    frame: Frame = Field(description=FRAME)
+    poses: str = Field(description="the path of a .csv, .npz or .json file with poses, from this file")
+    scores: Scale = Field("proportional", description="'proportional', 'log' or 'equal'")
+    T: Matrix | None = Field(None, description=f"the camera's pose, {MATRIX}")
+    translation_std_mm: Positive = Field(description=POSITIVE_MM)
+    rotation_std_deg: Positive | None = Field(None, description=STD_DEG)
+
+    def make(self, obj: ObjectModel, folder: Path) -> PosePrior:
+        T, listed = self.read_pose("T"), read_listed_poses(folder / self.poses)
+        poses = listed.T_camera_object if T is None else T @ listed.T_camera_object
+        return HypothesesPrior(tuple(_make_gaussian(self, one, obj) for one in poses), listed.weigh(self.scores))
 
 
 class _Placed(BaseModel):
@@ -87,7 +101,7 @@ class _Region(_Placed):
     low_mm: Bounds = Field([-math.inf] * 3, description="[x, y, z] (mm), -inf without a bound")
     high_mm: Bounds = Field([math.inf] * 3, description="[x, y, z] (mm), inf without a bound")
 
-    def make(self, obj: ObjectModel) -> PosePrior:
+    def make(self, obj: ObjectModel, folder: Path) -> PosePrior:
         if not all(low < high for low, high in zip(self.low_mm, self.high_mm, strict=True)):
             raise ValueError(
                 f"the region is empty: low_mm = {self.low_mm} and high_mm = {self.high_mm}; each number of low_mm must "
@@ -101,26 +115,33 @@ class _HalfSpace(_Placed):
     normal: Three = Field(description="[x, y, z], pointing from the plane to the object's side")
     plane_point_mm: Three = Field(description="[x, y, z] (mm), a point of the plane")
 
-    def make(self, obj: ObjectModel) -> PosePrior:
+    def make(self, obj: ObjectModel, folder: Path) -> PosePrior:
         return RegionPrior.half_space(self.normal, 1e-3 * np.array(self.plane_point_mm), self.find_point_m(obj))
 
 
-_KINDS: dict[str, type[_Gaussian | _Region | _HalfSpace]] = {
+_KINDS: dict[str, type[_Gaussian | _Hypotheses | _Region | _HalfSpace]] = {
     "gaussian": _Gaussian,
+    "hypotheses": _Hypotheses,
     "region": _Region,
     "half-space": _HalfSpace,
 }
 
 
+def _make_gaussian(keys: _Gaussian | _Hypotheses, T: Floats, obj: ObjectModel) -> GaussianPrior:
+    """Return the Gaussian prior about the pose T (4, 4), metres, with the deviations of a table."""
+    rotation_std_deg = math.inf if keys.rotation_std_deg is None else keys.rotation_std_deg
+    return GaussianPrior(T, 1e-3 * keys.translation_std_mm, math.radians(rotation_std_deg), obj.symmetry)
+
+
 def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:
     """Read a prior about an object's pose from a TOML file (mm and degrees).
 
-    The key `kind` is "gaussian", "region" or "half-space". A Gaussian prior respects the object's symmetry. A region or
-    half-space contains the object's centroid, or the point of the object that the file gives. Raises ConfigError when
-    the file is missing, or a key is missing, unknown or ill-typed.
+    The key `kind` is "gaussian", "hypotheses", "region" or "half-space". A Gaussian prior, and that of each hypothesis,
+    respects the object's symmetry. A region or half-space contains the object's centroid, or the point of the object
+    that the file gives. Raises ConfigError when the file is missing, or a key is missing, unknown or ill-typed.
     """
     path, values = Path(path), read_toml(path)
     model = _KINDS.get(str(values.get("kind")), _Gaussian)
     with name_errors(path, model, values, f"a prior of kind {values.get('kind')!r}", decisive="kind"):
         keys = model(**values)
-        return FramedPrior(keys.make(obj), keys.frame, str(path))
+        return FramedPrior(keys.make(obj, path.parent), keys.frame, str(path))

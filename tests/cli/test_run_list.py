@@ -103,6 +103,23 @@ def test_a_prior_reduces_the_entropy_of_an_ambiguous_touch(cli, listed):
     assert result["errors"]["best_m"] < 6e-3
 
 
+def test_a_touch_ranks_the_poses_of_a_list(cli, listed):
+    name, T = next(iter(listed.items()))
+    turned = T @ np.diag([1.0, -1.0, -1.0, 1.0])
+    file = prior("hypotheses", poses="poses.npz", translation_std_mm=2, rotation_std_deg=5)
+    run = ["run", *OBJECT, "--touch", f"touches/{name}.npz", "--prior", file, "--out", "out", "--json"]
+    np.savez("poses.npz", poses=np.array([turned, T]), scores=np.array([0.6, 0.4]))
+    ranked = json.loads(succeed(cli(*run)).stdout)["listed_poses"]
+    assert [one["before"] for one in ranked] == pytest.approx([0.6, 0.4])
+    assert ranked[1]["after"] > 0.9
+    far = T.copy()
+    far[:3, 3] += 1.0
+    np.savez("poses.npz", poses=far[None], scores=np.ones(1))
+    done = succeed(cli(*run))
+    assert json.loads(done.stdout)["listed_poses"][0]["after"] < 0.5
+    assert "prior.toml" in done.stderr
+
+
 def test_bad_lists_and_priors_are_one_sentence(cli, listed):
     name = next(iter(listed))
     Path("lost.toml").write_text('[[touch]]\npath = "lost.npz"\n')

@@ -7,11 +7,14 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, make_translation, rotation_about
-from tactile_loc.core.poses.priors import GaussianPrior, RegionPrior
+from tactile_loc.core.poses.priors import GaussianPrior, HypothesesPrior, RegionPrior
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.prior_files import read_prior
 
 GAUSSIAN = 'kind = "gaussian"\nframe = "sensor"\ntranslation_std_mm = 4\n'
+HYPOTHESES = (
+    'kind = "hypotheses"\nframe = "sensor"\nposes = "poses.npz"\ntranslation_std_mm = 4\nrotation_std_deg = 5\n'
+)
 REGION = 'kind = "region"\nframe = "sensor"\n'
 HALF_SPACE = 'kind = "half-space"\nframe = "sensor"\nnormal = [0, 0, 1]\nplane_point_mm = [0, 0, 20]\n'
 POSE = "xyz_mm = [1, 2, 25]\nrpy_deg = [0, 0, 90]\n"
@@ -47,6 +50,18 @@ def test_a_prior_respects_the_symmetry_of_the_object(tmp_path, make_box):
     prior = read_prior(written(tmp_path, GAUSSIAN + POSE + "rotation_std_deg = 10\n"), brick).prior
     poses = random_poses(20)
     np.testing.assert_allclose(prior(poses @ brick.symmetry.list_elements()[1]), prior(poses), atol=1e-9)
+
+
+def test_a_list_of_poses_is_seen_from_the_camera(tmp_path, box):
+    T, T_base_camera = random_poses(2), make_transform(rotation_about([0, 0, 1], np.pi / 2), [0.001, 0.002, 0.025])
+    np.savez(tmp_path / "poses.npz", poses=T, scores=np.array([3.0, 1.0]))
+    prior = read_prior(written(tmp_path, HYPOTHESES + POSE), box).prior
+    expected = tuple(GaussianPrior(T_base_camera @ one, 0.004, np.radians(5)) for one in T)
+    poses = T_base_camera @ random_poses(9)
+    np.testing.assert_allclose(prior(poses), HypothesesPrior(expected, np.array([0.75, 0.25]))(poses), rtol=1e-6)
+    in_sensor = read_prior(written(tmp_path, HYPOTHESES + 'scores = "equal"\n'), box).prior
+    np.testing.assert_allclose(in_sensor.list_peaks(), T, atol=1e-12)
+    np.testing.assert_allclose(in_sensor.probabilities, 0.5)
 
 
 def test_a_region_may_be_open_and_bounds_the_centroid(tmp_path, box):
@@ -88,6 +103,9 @@ def test_a_prior_in_the_base_frame_needs_the_sensors_pose_and_one_in_the_sensors
         (GAUSSIAN.replace("4", "inf") + POSE, ("translation_std_mm", "inf")),
         (GAUSSIAN.replace('"sensor"', '"camera"') + POSE, ("frame", "'camera'", "'sensor'", "'base'")),
         ('kind = "gaussian"\ntranslation_std_mm = 4\n', ("frame", "'sensor'", "'base'")),
+        (HYPOTHESES, ("poses.npz",)),
+        (HYPOTHESES + 'scores = "best"\n', ("scores", "'proportional'", "'log'", "'equal'")),
+        (HYPOTHESES + "score = 1\n", ("'score'", "'scores'")),
         (REGION + "low_mm = [0, 0]\n", ("low_mm", "[0, 0]")),
         (REGION + "low_mm = [0, 0, 0]\nhigh_mm = [1, 0, 1]\n", ("low_mm", "high_mm", "[1.0, 0.0, 1.0]")),
         (HALF_SPACE.replace("[0, 0, 1]", "[0, 0, 0]"), ("[0. 0. 0.]",)),

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
+
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.runtime.lazy import import_ahead
 from tactile_loc.store.files import lock_folder, require_writable, write_json
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.sensing.scene import Scene
     from tactile_loc.core.sensing.touch import Touch
     from tactile_loc.io.config import RunConfig
+    from tactile_loc.io.prior_files import FramedPrior
     from tactile_loc.locate.localizer import Localizer
     from tactile_loc.locate.result.localization import Localization
     from tactile_loc.locate.touch_files import LocatedFile
@@ -29,6 +32,7 @@ logger = logging.getLogger(__name__)
 
 DEFAULT_OUT = Path("tactile-loc-result")
 MOST_SHOWN = 60  # touches of a folder whose contact shapes a report shows
+NONE_RIGHT = 0.5  # probability of all listed poses together, below which a warning follows
 TOGETHER = 3  # number of simulated touches
 
 Given = Annotated[
@@ -96,7 +100,8 @@ def _locate_together(
     observations = _read_observations(localizer)
     simulated = localizer.config.touch.path is None
     drawing = import_ahead(*([] if simulated else ["matplotlib.backends.backend_agg", "matplotlib.figure"]))
-    known = None if prior is None else read_prior(prior, localizer.object).view_from(observations[0][1].T_base_sensor)
+    framed = None if prior is None else read_prior(prior, localizer.object)
+    known = framed and framed.view_from(observations[0][1].T_base_sensor)
     start = time.perf_counter()
     for one, touch in observations:
         build_model(one, touch.press_depth_m)
@@ -105,7 +110,24 @@ def _locate_together(
     localization = localize_together(observations, known)
     located = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
     drawing.join()
-    return _report(located, localization, seconds, out, page, rerun, alone)
+    result = _report(located, localization, seconds, out, page, rerun, alone)
+    return result if framed is None else {**result, **_rank_listed(framed, localization)}
+
+
+def _rank_listed(prior: FramedPrior, found: Localization) -> dict[str, Any]:
+    """Show which of the poses that a prior lists are right, and return it; nothing for other priors."""
+    from tactile_loc.core.poses.priors import HypothesesPrior
+    from tactile_loc_cli.results import say_ranks
+
+    if not isinstance(prior.prior, HypothesesPrior):
+        return {}
+    poses = [h.T_sensor_object if prior.frame == "sensor" else h.T_base_object for h in found.hypotheses]
+    after = prior.prior.rank(np.array(poses), np.array([h.probability for h in found.hypotheses]))
+    say_ranks(prior.prior.probabilities, after)
+    if after.sum() < NONE_RIGHT:
+        logger.warning("the touches agree with none of the poses in %s; check its frame and its unit", prior.source)
+    pairs = zip(prior.prior.probabilities.tolist(), after.tolist(), strict=True)
+    return {"listed_poses": [{"before": before, "after": later} for before, later in pairs]}
 
 
 def _require_one_source(settings: RunConfig, noise: options.Noise | None) -> None:

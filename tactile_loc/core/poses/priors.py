@@ -1,4 +1,4 @@
-"""Priors: log-weights of poses from vision, a region, an earlier posterior, or several of these.
+"""Priors: log-weights of poses from vision, a list, a region, an earlier posterior, or several of these.
 
 Any callable that maps poses (N, 4, 4), metres, to log-weights (N,) is a prior. Only differences between log-weights
 count. The priors of this module have options, and can be converted from the base frame to the sensor frame.
@@ -14,12 +14,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactile_loc.core.geometry.rigid import Floats, Ints, Poses, align_to_z, make_transform, require_rigid
+from tactile_loc.core.geometry.rigid import Floats, Ints, Poses, align_to_z, invert, make_transform, require_rigid
 from tactile_loc.core.objects.symmetry import SymmetryGroup
 from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
 
+ELSEWHERE = 1e-6  # weight of a pose far from all hypotheses, of which one with the probability 1 has the weight 1
 FORGOTTEN = 1e-6  # the least probable poses of a posterior, which together have this probability, are ignored
 KERNEL_RADII = 6.0  # standard deviations beyond which a kernel counts as zero (e^-18)
 LEAST_SPREAD = 0.5  # grid spacings; the median distance of the true pose from the nearest grid pose
@@ -44,6 +45,10 @@ class PosePrior(ABC):
     def temper(self, power: Callable[[int], float]) -> PosePrior:
         """Return the prior with its weights from N earlier touches raised to `power(N)`: see `temperature`."""
         return self
+
+    def list_peaks(self) -> Poses:
+        """Return poses (K, 4, 4), metres, that a search must try even if the touch does not suggest them."""
+        return np.empty((0, 4, 4))
 
     def view_from(self, T_base_sensor: Poses) -> SeenFrom:
         """Convert this prior over T_base_object to a prior over T_sensor_object, for a sensor at (4, 4), metres."""
@@ -81,6 +86,10 @@ class SeenFrom(PosePrior):
         """Return this prior with its prior over base-frame poses tempered."""
         return replace(self, prior=temper(self.prior, power))
 
+    def list_peaks(self) -> Poses:
+        """Return the peaks (K, 4, 4), metres, of the prior over base-frame poses, in the sensor frame."""
+        return invert(self.T_base_sensor) @ list_peaks(self.prior)
+
 
 @dataclass(frozen=True, eq=False)
 class ProductPrior(PosePrior):
@@ -100,6 +109,10 @@ class ProductPrior(PosePrior):
     def temper(self, power: Callable[[int], float]) -> PosePrior:
         """Return the product of the tempered priors."""
         return ProductPrior(tuple(temper(prior, power) for prior in self.priors))
+
+    def list_peaks(self) -> Poses:
+        """Return the peaks (K, 4, 4), metres, of all priors."""
+        return np.concatenate([list_peaks(prior) for prior in self.priors])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +146,56 @@ class GaussianPrior(PosePrior):
         angle_rad = symmetry.measure_least_angle(self.T[:3, :3], R)
         with np.errstate(over="ignore"):  # many tiny standard deviations away, the log-weight is -inf
             return -0.5 * ((distance_m / self.translation_std_m) ** 2 + (angle_rad / self.rotation_std_rad) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class HypothesesPrior(PosePrior):
+    """A list of poses, one of which is probably right, as vision systems return it.
+
+    A pose x has the weight w(x) = sum_k p_k g_k(x) + f. The Gaussian prior g_k of the hypothesis k is 1 at its peak.
+    The probabilities p_k, `probabilities` (K,), have the sum 1. The weight f, `floor`, is that of a pose far from all
+    hypotheses. It allows that none of them is right. Raises ConfigError if there is no hypothesis, or for numbers that
+    are not probabilities.
+    """
+
+    hypotheses: tuple[GaussianPrior, ...]
+    probabilities: Floats
+    floor: float = ELSEWHERE
+
+    def __post_init__(self) -> None:
+        found = np.array(self.probabilities, float)
+        object.__setattr__(self, "probabilities", found)
+        if not self.hypotheses or found.shape != (len(self.hypotheses),):
+            raise ConfigError(f"a prior has {len(self.hypotheses)} hypotheses and {found.size} probabilities")
+        if not ((found >= 0).all() and np.isclose(found.sum(), 1.0)):
+            raise ConfigError(f"the probabilities of hypotheses are {found.tolist()}; give numbers with the sum 1")
+        if not 0 <= self.floor < 1:
+            raise ConfigError(f"the floor of a prior is {self.floor}; give at least 0 and less than 1")
+
+    def __call__(self, T_sensor_object: Poses) -> Floats:
+        """Return the log-weights (N,) of poses (N, 4, 4), metres."""
+        return np.logaddexp.reduce(self._list_parts(T_sensor_object), axis=0)
+
+    def rank(self, T_sensor_object: Poses, probabilities: Floats) -> Floats:
+        """Return the probabilities (K,) that the hypotheses are right, given that one of the located poses is.
+
+        The located poses (N, 4, 4) are in metres, and their `probabilities` (N,) include this prior. Each belongs to a
+        hypothesis by the hypothesis' part of its weight. The rest to 1 is the probability that no hypothesis is right.
+        """
+        parts = self._list_parts(T_sensor_object)
+        shares = np.exp(parts - np.logaddexp.reduce(parts, axis=0))
+        return np.asarray(shares[:-1] @ (probabilities / np.sum(probabilities)))
+
+    def list_peaks(self) -> Poses:
+        """Return the poses (K, 4, 4), metres, of the hypotheses."""
+        return np.array([one.T for one in self.hypotheses])
+
+    def _list_parts(self, T_sensor_object: Poses) -> Floats:
+        """Return the logs (K + 1, N) of the parts of the weights: of each hypothesis, and of the floor."""
+        with np.errstate(divide="ignore"):
+            log_p, log_f = np.log(self.probabilities), np.log(self.floor)
+        kernels = np.array([one(T_sensor_object) for one in self.hypotheses]) + log_p[:, None]
+        return np.concatenate([kernels, np.full((1, len(T_sensor_object)), log_f)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,6 +334,11 @@ class PosteriorPrior(PosePrior):
 def count_touches(prior: Prior | None) -> int:
     """Return the number of touches behind a prior. It is 0 if the prior is not a PosePrior."""
     return prior.touches if isinstance(prior, PosePrior) else 0
+
+
+def list_peaks(prior: Prior) -> Poses:
+    """Return the peaks (K, 4, 4), metres, of a prior. There are none if the prior is not a PosePrior."""
+    return prior.list_peaks() if isinstance(prior, PosePrior) else np.empty((0, 4, 4))
 
 
 def temper(prior: Prior, power: Callable[[int], float]) -> Prior:

@@ -18,9 +18,9 @@ from tactile_loc.core.places.places import CAMERA, HIGHEST_M
 from tactile_loc.core.places.rotated_patches import bound_touch
 from tactile_loc.core.poses.merging import suppress_non_maxima
 from tactile_loc.core.poses.metric import PoseGrid
-from tactile_loc.core.poses.priors import Prior
+from tactile_loc.core.poses.priors import Prior, list_peaks
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
-from tactile_loc.core.registration.prior_factors import draw_around, fit_prior_factors
+from tactile_loc.core.registration.prior_factors import PriorFactors, draw_around, fit_prior_factors
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.scene import NATS_PER_IOU, View
 from tactile_loc.core.sensing.touch import Touch
@@ -35,7 +35,8 @@ ANCHORS, LEAST_APART_M = 12, 7e-4  # points of a mask tried as the deepest point
 ROUGHLY = 0.1  # share of the press above which a mask's press is known only roughly
 MOVED_ALONE, REGISTERED_ALONE = 150, 60  # poses moved, and registered further, to see how well one touch is explained
 SPREAD = 2.0  # grid spacings between half of the poses moved to several touches; nearer ones mostly lead to one pose
-DRAWN = 64  # poses drawn around the prior's peak
+DRAWN = 64  # poses drawn around the prior's peaks
+LEAST_DRAWN = 16  # around one of them
 MOST_UNEXPLAINED = 0.2  # loss of mean imprint IoU beyond which a pose is dropped that only the prior chose
 SAMPLED = 16  # one score out of this many is looked at to estimate how high the highest scores are
 
@@ -197,12 +198,15 @@ class PlaceSearch:
 
 
 def draw_expected(prior: Prior, T: Poses, middle_m: NDArray[np.float64]) -> Poses:
-    """Draw poses (K, 4, 4), metres, around the peak of a prior near the pose T (4, 4); none if the prior is flat there.
+    """Draw poses (K, 4, 4), metres, around the peak of a prior near the pose T (4, 4), and around its listed peaks.
 
-    `middle_m` (3,), metres, is the centre of the object.
+    There are none where the prior is flat. `middle_m` (3,), metres, is the centre of the object.
     """
-    factor = fit_prior_factors(prior, T[None], middle_m)
-    return draw_around(factor, DRAWN, middle_m) if factor.information.any() else T[None][:0]
+    factors = fit_prior_factors(prior, np.concatenate([T[None], list_peaks(prior)]), middle_m)
+    sharp = np.flatnonzero(factors.information.any(axis=(1, 2)))
+    count = max(LEAST_DRAWN, DRAWN // max(len(sharp), 1))
+    parts = [PriorFactors(factors.T[[k]], factors.information[[k]]) for k in sharp]
+    return np.concatenate([T[None][:0], *(draw_around(part, count, middle_m) for part in parts)])
 
 
 def choose_expected(

@@ -10,6 +10,7 @@ from pose_helpers import random_poses
 from tactile_loc import PoseGrid, PoseMetric, PosePosterior
 from tactile_loc.core.poses.priors import (
     GaussianPrior,
+    HypothesesPrior,
     PosteriorPrior,
     ProductPrior,
     RegionPrior,
@@ -81,6 +82,48 @@ class TestGaussian:
     def test_invalid_means_and_deviations_are_refused(self, change, value):
         with pytest.raises(ConfigError, match=naming(value)):
             GaussianPrior(**{"T": np.eye(4), "translation_std_m": 0.01, "rotation_std_rad": 0.1, **change})
+
+
+class TestHypotheses:
+    def test_the_weight_is_the_sum_of_the_gaussians_and_the_floor(self):
+        T, poses, p = random_poses(3, 0), random_poses(50, 1), np.array([0.5, 0.3, 0.2])
+        listed = tuple(GaussianPrior(one, 0.02, 0.8) for one in T)
+        expected = np.sum([p_k * np.exp(one(poses)) for p_k, one in zip(p, listed, strict=True)], axis=0) + 1e-3
+        np.testing.assert_allclose(HypothesesPrior(listed, p, 1e-3)(poses), np.log(expected), rtol=1e-9)
+
+    def test_located_poses_rank_the_hypotheses_by_bayes_theorem(self):
+        T, p = random_poses(3, 2), np.array([0.5, 0.3, 0.2])
+        prior = HypothesesPrior(tuple(GaussianPrior(one, 0.001, 0.02) for one in T), p)
+        far = random_poses(1, 9)
+        np.testing.assert_allclose(
+            prior.rank(np.concatenate([T[1:2], far]), np.array([0.3, 0.1])), [0, 0.75, 0], atol=1e-3
+        )
+        twice = HypothesesPrior(tuple(GaussianPrior(T[0], 0.001, 0.02) for _ in p), p)
+        np.testing.assert_allclose(twice.rank(T[:1], np.array([0.2])), p, atol=1e-4)
+
+    def test_the_frame_changes_nothing(self):
+        T, T_base_sensor, poses = random_poses(2, 3), random_poses(1, 4)[0], random_poses(20, 5)
+        prior = HypothesesPrior(tuple(GaussianPrior(one, 0.02, 0.8) for one in T), np.array([0.5, 0.5]))
+        seen = prior.view_from(T_base_sensor)
+        np.testing.assert_allclose(seen(poses), prior(T_base_sensor @ poses))
+        np.testing.assert_allclose(T_base_sensor @ seen.list_peaks(), T, atol=1e-12)
+        both = seen * GaussianPrior(np.eye(4), 1.0, 9.0)
+        np.testing.assert_allclose(both.list_peaks(), seen.list_peaks())
+
+    @pytest.mark.parametrize(
+        ("count", "probabilities", "floor"),
+        [
+            (0, [], 1e-6),
+            (2, [1.0], 1e-6),
+            (2, [0.5, 0.6], 1e-6),
+            (2, [-0.5, 1.5], 1e-6),
+            (1, [1.0], 1.0),
+            (1, [1.0], -1),
+        ],
+    )
+    def test_wrong_numbers_are_refused(self, count, probabilities, floor):
+        with pytest.raises(ConfigError):
+            HypothesesPrior((GaussianPrior(np.eye(4), 0.01, 0.5),) * count, np.array(probabilities), floor)
 
 
 class TestRegion:

@@ -9,7 +9,7 @@ import trimesh
 from tactile_loc.core.geometry.rigid import invert, make_transform, make_translation, rotation_about
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.poses.posterior import Mode, PosePosterior
-from tactile_loc.core.poses.priors import GaussianPrior
+from tactile_loc.core.poses.priors import GaussianPrior, HypothesesPrior
 from tactile_loc.core.runtime.progress import StageTimes
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
@@ -122,6 +122,15 @@ def test_nothing_is_drawn_around_a_flat_prior():
     drawn = draw_expected(GaussianPrior(make_translation([2e-3, 0, 1e-2]), 1e-3, 0.1), T, np.zeros(3))
     assert drawn[0, :3, 3] == pytest.approx([2e-3, 0, 1e-2], abs=1e-5)
     assert len(np.unique(drawn[:, 0, 3])) == len(drawn)
+
+
+def test_poses_are_drawn_around_each_listed_pose():
+    listed = make_translation([[2e-3, 0, 1e-2], [5e-2, 0, 1e-2], [0, 9e-2, 1e-2]])
+    prior = HypothesesPrior(tuple(GaussianPrior(one, 1e-3, 0.1) for one in listed), np.full(3, 1 / 3))
+    drawn = draw_expected(prior, make_translation([0, 0, -1.0]), np.zeros(3))[:, :3, 3]
+    near = np.linalg.norm(drawn[:, None] - listed[:, :3, 3], axis=2) < 6e-3
+    assert (near.sum(axis=0) >= 16).all()
+    assert near.any(axis=1).all()
 
 
 def test_a_pose_contradicts_a_prior_that_makes_it_very_improbable():
