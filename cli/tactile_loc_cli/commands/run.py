@@ -101,7 +101,7 @@ def _locate_together(
     simulated = localizer.config.touch.path is None
     drawing = import_ahead(*([] if simulated else ["matplotlib.backends.backend_agg", "matplotlib.figure"]))
     framed = None if prior is None else read_prior(prior, localizer.object)
-    known = framed and framed.view_from(observations[0][1].T_base_sensor)
+    known = None if framed is None else framed.view_from(observations[0][1].T_base_sensor)
     start = time.perf_counter()
     for one, touch in observations:
         build_model(one, touch.press_depth_m)
