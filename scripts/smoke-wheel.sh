@@ -74,6 +74,7 @@ annex() { refuses "./plugins_contrib/tactile-loc-$1" "$1"; } # a command of a pa
 touch empty.3mf empty.mcap empty.mp4 empty.step empty.stl
 annex app
 annex benchmark
+annex inspect
 annex library
 needs camera live --camera 0 --object hook --port 0
 needs clearance next-touch result --around 3 --finger 32x28x24mm --out refused
@@ -92,7 +93,7 @@ needs view run --rerun refused.rrd --out refused
 
 # The annexes are built and installed from a copy of the tree, without their libraries, and add their commands.
 for folder in "$tree"/plugins_contrib/tactile-loc-app "$tree"/plugins_contrib/tactile-loc-benchmark \
-    "$tree"/plugins_contrib/tactile-loc-library; do
+    "$tree"/plugins_contrib/tactile-loc-inspect "$tree"/plugins_contrib/tactile-loc-library; do
     [ -e "$folder/pyproject.toml" ] || continue
     name=$(basename "$folder")
     say "building and installing $name"

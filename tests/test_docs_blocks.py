@@ -45,6 +45,7 @@ ELSEWHERE = {
     "examples.md": "test_examples.py",
     "app.md": "test_app_command.py",
     "benchmark.md": "test_docs_benchmark.py",
+    "inspect.md": "test_inspect_page.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)
 READERS = {  # by the first word of the file

@@ -34,7 +34,8 @@ case "$*" in
 doctor) exit {doctor} ;;
 "run --out result") mkdir -p result && echo '{result}' > result/result.json && echo picture > result/result.png ;;
 --version) ;;
---help) echo "Commands of tactile-loc-app, Commands of tactile-loc-benchmark, Commands of tactile-loc-library" ;;
+--help) echo "Commands of tactile-loc-app, Commands of tactile-loc-benchmark" && \
+    echo "Commands of tactile-loc-inspect, Commands of tactile-loc-library" ;;
 *--camera*) refuse camera ;;
 benchmark*) refuse benchmark ;;
 *--finger*) refuse clearance ;;
@@ -43,6 +44,7 @@ benchmark*) refuse benchmark ;;
 *"--refiner icp"*) refuse icp ;;
 *.3mf*) refuse meshes ;;
 *raycast*|*pyrender*) refuse render ;;
+inspect*) refuse inspect ;;
 library*) refuse library ;;
 *moco*) refuse learned ;;
 replay*) refuse recordings ;;

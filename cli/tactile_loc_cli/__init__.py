@@ -24,7 +24,12 @@ COMMANDS = (
     ("store", "commands.store:application", "List, measure or prune the built models."),
 )
 # Commands of packages in plugins_contrib, which are installed separately.
-ANNEXES = {"app": "tactile-loc-app", "benchmark": "tactile-loc-benchmark", "library": "tactile-loc-library"}
+ANNEXES = {
+    "app": "tactile-loc-app",
+    "benchmark": "tactile-loc-benchmark",
+    "inspect": "tactile-loc-inspect",
+    "library": "tactile-loc-library",
+}
 KINDS_OF_ANNEXES = {"method": "tactile-loc-benchmark", "touch-source": "tactile-loc-benchmark"}
 
 

@@ -1,7 +1,10 @@
 """Generates docs/cli.md from the help texts and the schema of result.json: `python -m tactile_loc_cli.reference`."""
 
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
+
+from tactile_loc_cli import ANNEXES
 
 WIDTH = "100"
 
@@ -123,7 +126,9 @@ def _describe_schema() -> Iterator[str]:
 
 
 def main() -> None:
-    """Write docs/cli.md of this module's source tree."""
+    """Write docs/cli.md of this module's source tree. Raises SystemExit if a package with commands is missing."""
+    if missing := [name for name in ANNEXES.values() if find_spec(name.replace("-", "_")) is None]:
+        raise SystemExit(f"docs/cli.md is not written, because it needs {', '.join(missing)}; run make setup")
     page = Path(__file__).parents[2] / "docs" / "cli.md"
     page.write_text(make_reference(), encoding="utf-8")
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from tactile_loc_cli import ANNEXES
-from tactile_loc_cli.reference import INTRODUCTION, make_reference
+from tactile_loc_cli.reference import INTRODUCTION, main, make_reference
 
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.toml import read_toml
@@ -15,6 +15,15 @@ def test_the_page_is_up_to_date():
         pytest.importorskip(annex.replace("-", "_"))
     page = Path(__file__).parents[2] / "docs" / "cli.md"
     assert page.read_text() == make_reference(), "run python -m tactile_loc_cli.reference"
+
+
+def test_the_page_is_not_written_without_a_package_with_commands(monkeypatch):
+    page = Path(__file__).parents[2] / "docs" / "cli.md"
+    before = page.read_text()
+    monkeypatch.setitem(ANNEXES, "sing", "tactile-loc-choir")
+    with pytest.raises(SystemExit):
+        main()
+    assert page.read_text() == before
 
 
 def test_the_configuration_on_the_page_is_valid(tmp_path):

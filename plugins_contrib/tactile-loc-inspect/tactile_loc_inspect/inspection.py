@@ -1,0 +1,269 @@
+"""The inspection of a located part: differences from the model, and a verdict about the touched surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from tactile_loc import Hypothesis, Localization, ObjectModel, TactileLocError
+from tactile_loc.plugin import View
+from tactile_loc.plugin.helpers import transform_points
+
+from tactile_loc_inspect.comparison import Comparison, Floats, compare_touches
+from tactile_loc_inspect.scan import SIZES_M, WIDTH, SurfaceMap, map_differences
+
+CERTAIN = "certain"  # the verdict that gives a pose
+MOST_OTHERS = 6  # other poses that are compared
+MOST = 8  # differences that are listed
+APART = 1.5  # widths of a difference within which no other one is listed
+NOISY_M = 8e-6  # a noisier reading may show contact that is not there, or miss contact, in one touch
+FOUND_SHARE = 1.645  # standard deviations above the limit at which 95 % are found
+STATED_SIZE = 2  # index in SIZES_M of the differences for which the verdict states a height
+FAR_M = 1e-3  # a refinement that moves the surface farther is reported
+MOSTLY = 0.4  # share of differing places from which the pose is in doubt
+BETTER = 0.7  # another pose explains the touches better if it leaves this share of the misfit
+LEAST_MISFIT_M = 3e-6
+NUMBERS = ("noise_m", "blur_m", "misfit_m")  # of a touch, in files
+SHARP = 0.3  # the height is that of the smallest blob whose statistic is at least this share of the best one
+
+
+class InspectionError(TactileLocError):
+    """The part cannot be inspected."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a difference is reported, for one kind of reading.
+
+    `ratio` is the least statistic, and `touches` the least number of touches that alone show the difference. On clean
+    parts, the greatest statistic exceeds `ratio` by a further `e_fold` in 1 / e of the cases.
+    """
+
+    ratio: float
+    e_fold: float
+    touches: int
+
+
+EXACT = Limits(8.0, 1.0, 1)
+NOISY = Limits(8.0, 1.0, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """A place at which the part differs from the model.
+
+    `point_m` (3,) and `normal` (3,) are of the model's surface, in the object's frame. The part is `height_m` metres
+    above the model along the normal, or below it if negative, with the standard deviation `std_m`. With `at_least`, the
+    true difference may be larger. `width_m` is the width at half of the height. `touches` alone show it, and
+    `against` alone show the opposite. `clean` bounds the share of clean parts that show as much.
+    """
+
+    point_m: Floats
+    normal: Floats
+    height_m: float
+    std_m: float
+    width_m: float
+    at_least: bool
+    touches: int
+    against: int
+    ratio: float
+    clean: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the difference as JSON values, in SI units."""
+        values = {name: getattr(self, name) for name in ("height_m", "std_m", "width_m", "at_least", "touches")}
+        more = {"against": self.against, "statistic": self.ratio, "clean_share": self.clean}
+        return {"point_m": self.point_m.tolist(), "normal": self.normal.tolist(), **values, **more}
+
+    def describe(self) -> str:
+        """Return the difference in words."""
+        x, y, z = 1e3 * self.point_m
+        more = "at least " if self.at_least else ""
+        what = "more" if self.height_m > 0 else "less"
+        return (
+            f"{more}{1e3 * abs(self.height_m):.2f} +- {2e3 * self.std_m:.2f} mm {what} material at "
+            f"({x:.1f}, {y:.1f}, {z:.1f}) mm, about {1e3 * self.width_m:.1f} mm wide"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """The differences of a part from its model at the touched places.
+
+    `differences` are certain enough to report, the greatest first, and `unconfirmed` are seen by a single touch of a
+    noisy reading. `detectable_m` is the height of a difference that would have been found with 95 % probability at the
+    touched places. `touched` is the share of the surface that the touches show. `moved_m` is how far the differences
+    move an ordinary pose: the largest displacement of a surface point. `refined_m` is how far the refinement moved the
+    given pose. `unexplained` is the share of the touched places that differ. `better` is the number of another pose,
+    from 1, that explains the touches better; None if there is none.
+    """
+
+    object: ObjectModel
+    comparisons: tuple[Comparison, ...]
+    map: SurfaceMap
+    limits: Limits
+    differences: tuple[Difference, ...]
+    unconfirmed: tuple[Difference, ...]
+    detectable_m: float
+    touched: float
+    moved_m: float
+    refined_m: float
+    unexplained: float
+    better: int | None = None
+
+    @property
+    def verdict(self) -> str:
+        """One of "as the model", "differs" and "another pose"."""
+        if self.better is not None:
+            return "another pose"
+        return "differs" if self.differences else "as the model"
+
+    def list_notes(self) -> list[str]:
+        """Return what else a reader of the verdict must know, as sentences."""
+        notes = []
+        if self.moved_m > 0:
+            notes.append(f"the differences move an ordinary pose by up to {1e3 * self.moved_m:.2f} mm")
+        if self.refined_m > FAR_M:
+            notes.append(
+                f"the touches fit best at a pose {1e3 * self.refined_m:.1f} mm from the given one; check the pose"
+            )
+        if self.unexplained > MOSTLY:
+            notes.append(
+                f"{100 * self.unexplained:.0f} % of the touched surface differs, so the pose or the model may be wrong"
+            )
+        return notes
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the inspection as JSON values, in SI units."""
+        return {
+            "object": self.object.name,
+            "verdict": self.verdict,
+            "says": self.describe(),
+            "detectable_m": self.detectable_m if np.isfinite(self.detectable_m) else None,
+            "touched": self.touched,
+            "moved_m": self.moved_m,
+            "refined_m": self.refined_m,
+            "unexplained": self.unexplained,
+            "better_pose": self.better,
+            "notes": self.list_notes(),
+            "differences": [one.to_json() for one in self.differences],
+            "unconfirmed": [one.to_json() for one in self.unconfirmed],
+            "touches": [
+                {"T_sensor_object": one.T.tolist(), **{name: getattr(one, name) for name in NUMBERS}}
+                for one in self.comparisons
+            ],
+        }
+
+    def describe(self) -> str:
+        """Return the verdict in one line."""
+        where = f"; the touches show {100 * self.touched:.1f} % of the surface"
+        if self.better is not None:
+            return f"pose {self.better} explains the touches better, so no difference is reported{where}"
+        if not self.differences:
+            width = 1e3 * WIDTH * SIZES_M[STATED_SIZE]
+            within = f"{1e3 * self.detectable_m:.2f} mm at the touched places (differences {width:.1f} mm wide)"
+            return f"as the model, within {within}{where}"
+        return f"differs here: {self.differences[0].describe()}{where}"
+
+
+def inspect_part(views: Sequence[View], poses: Sequence[Floats], others: Sequence[Sequence[Floats]] = ()) -> Inspection:
+    """Inspect a part from touches, given its pose (4, 4), metres, in the sensor frame of each touch.
+
+    `others` are further poses, each in the frames of all touches, that may explain the touches better.
+    """
+    comparisons = tuple(compare_touches(views, poses))
+    found, obj = map_differences(comparisons), views[0].scene.object
+    limits = NOISY if min(one.noise_m for one in comparisons) > NOISY_M else EXACT
+    listed = list_differences(found, limits)
+    enough = [one for one in listed if one.touches >= limits.touches]
+    std = found.std_m[STATED_SIZE][np.isfinite(found.std_m[STATED_SIZE]) & (found.touches >= limits.touches)]
+    return Inspection(
+        obj,
+        comparisons,
+        found,
+        limits,
+        tuple(enough),
+        tuple(one for one in listed if one.touches < limits.touches),
+        (limits.ratio + FOUND_SHARE) * float(np.quantile(std, 0.95)) if len(std) else np.inf,
+        min(1.0, float(found.areas_m2.sum() / obj.mesh.face_areas.sum())),
+        max(measure_motion(obj, one.T_plain, one.T) for one in comparisons) if enough else 0.0,
+        max(measure_motion(obj, T, one.T) for T, one in zip(poses, comparisons, strict=True)),
+        float((np.abs(found.ratios[1]) > limits.ratio).mean()),
+        find_better(views, comparisons, others),
+    )
+
+
+def list_differences(found: SurfaceMap, limits: Limits) -> list[Difference]:
+    """Return the differences of a map whose statistic is above the limit, the greatest first."""
+    ratios = np.abs(found.ratios)
+    size, best = ratios.argmax(axis=0), ratios.max(axis=0)
+    left, listed = best > limits.ratio, list[Difference]()
+    while left.any() and len(listed) < MOST:
+        place = int(np.where(left, best, 0).argmax())
+        k, point = int(size[place]), found.points_m[place]
+        width = WIDTH * SIZES_M[k]
+        sharp = int(np.argmax(ratios[:, place] > max(limits.ratio, SHARP * best[place])))
+        distances = np.linalg.norm(found.points_m - point, axis=1)
+        listed.append(
+            Difference(
+                point,
+                found.normals[place],
+                float(found.heights_m[sharp, place]),
+                float(found.std_m[sharp, place]),
+                width,
+                bool(found.bounds[distances < width / 2].mean() > 0.5),
+                int(found.support[k, place]),
+                int(found.against[k, place]),
+                float(best[place]),
+                float(0.02 * np.exp(-(best[place] - limits.ratio) / limits.e_fold)),
+            )
+        )
+        widest = WIDTH * SIZES_M[int(np.flatnonzero(ratios[:, place] > limits.ratio)[-1])]
+        left &= distances > APART * max(width, widest)
+    return listed
+
+
+def measure_motion(obj: ObjectModel, T: Floats, other: Floats) -> float:
+    """Return the largest displacement of a surface point between two poses (4, 4), metres."""
+    corners = obj.mesh.hull_corners_m
+    return float(np.linalg.norm(transform_points(T, corners) - transform_points(other, corners), axis=1).max())
+
+
+def find_better(
+    views: Sequence[View], comparisons: Sequence[Comparison], others: Sequence[Sequence[Floats]]
+) -> int | None:
+    """Return the number of the best other pose, from 2, if it explains the touches better than the pose compared."""
+    misfit = max(float(np.mean([one.misfit_m for one in comparisons])), LEAST_MISFIT_M)
+    best, number = BETTER * misfit, None
+    for k, poses in enumerate(others, 2):
+        other = float(np.mean([one.misfit_m for one in compare_touches(views, poses)]))
+        if other < best:
+            best, number = other, k
+    return number
+
+
+def inspect_localization(located: Localization, pose: int | None = None) -> Inspection:
+    """Inspect the part of a result at its first pose, which must be certain, or at `pose`, counted from 1.
+
+    Raises InspectionError if the verdict is another one and no pose is given, or if there is no such pose.
+    """
+    if pose is None and located.verdict != CERTAIN:
+        raise InspectionError(
+            f"inspection needs the part's pose, but the verdict is '{located.verdict}'; touch again at another place, "
+            "or give --pose 1 if you know that the first pose is right"
+        )
+    number = pose or 1
+    if not 1 <= number <= len(located.hypotheses):
+        raise InspectionError(f"there is no pose {number}; give --pose 1 to {len(located.hypotheses)}")
+    views = located.make_views()
+    all_poses = [_list_poses(one, views) for one in located.hypotheses]
+    chosen = all_poses.pop(number - 1)
+    return inspect_part(views, chosen, all_poses[:MOST_OTHERS])
+
+
+def _list_poses(one: Hypothesis, views: Sequence[View]) -> list[Floats]:
+    """Return a hypothesis's pose (4, 4), metres, in the frame of each touch's sensor."""
+    seen = one.refined.T_sensors_object
+    return list(seen) if seen is not None else [view.T_sensor_first @ one.T_sensor_object for view in views]
