@@ -1,0 +1,128 @@
+"""`tactile-loc touchability`: predict whether touch determines the pose of a part."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from tactile_loc.commands import (
+    RunOptions,
+    Store,
+    Takes,
+    WorkerOptions,
+    declare,
+    format_mm,
+    format_percent,
+    make_config,
+    make_progress,
+    open_localizer,
+    say,
+    say_table,
+    say_written,
+)
+from tactile_loc.plugin import ConfigError
+
+if TYPE_CHECKING:
+    from tactile_loc import Localizer
+
+    from tactile_loc_touchability.study import Study
+
+DEFAULT_OUT = Path("touchability")
+
+Part = Annotated[
+    str, typer.Argument(metavar="PART", help="Mesh file (STL, OBJ, PLY, STEP, ...) or demo object.", show_default=False)
+]
+Sensors = Annotated[
+    list[str] | None,
+    declare(
+        "--sensor NAME|FILE.toml|FOLDER",
+        "Sensor, its description file, or its calibration folder; repeat it to compare sensors. Default: gelslim.",
+    ),
+]
+PressDepths = Annotated[
+    list[float] | None,
+    declare("--press-depth MM", "Depth of the presses; repeat it to compare. Default: 60 % of the sensor's deepest."),
+]
+Touches = Annotated[int, declare("--touches N", "Simulated touches, for each sensor and press.", min=20)]
+Sets = Annotated[int, declare("--sets N", "Simulated sets of two touches, and of three, each located together.", min=0)]
+Tilt = Annotated[
+    float, declare("--tilt DEG", "Largest angle between a press and the surface's normal.", min=0.0, max=80.0)
+]
+Noise = Annotated[str, declare("--noise NAME", "Noise of the touches: none, mild or strong.")]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of touchability.json, report.html, and rows to resume from.")]
+Given = Annotated[
+    RunOptions, Takes("units", "symmetry", "grid", "renderer", "encoder", "matcher", "refiner", "option", "seed")
+]
+Workers = Annotated[WorkerOptions, Takes("workers", "threads")]
+
+
+def touchability(
+    part: Part,
+    *,
+    given: Given,
+    sensor: Sensors = None,
+    press_depth: PressDepths = None,
+    touches: Touches = 400,
+    sets: Sets = 40,
+    tilt: Tilt = 30.0,
+    noise: Noise = "mild",
+    workers: Workers,
+    out: Out = DEFAULT_OUT,
+    store: Store = None,
+) -> dict[str, Any]:
+    """Predict whether touch determines the pose of a part.
+
+    Touches at random places of the part are simulated and located as `run` does. The result states how often one touch,
+    two or three end certain, and where. After an interruption, the same command resumes.
+    """
+    import numpy as np
+
+    from tactile_loc_touchability.study import StudyOptions, run_studies
+
+    progress = make_progress()
+    asked = list_asked(part, given, sensor, press_depth, store)
+    renderer = asked[0][0].config.renderer.name
+    options = StudyOptions(touches, sets, float(np.radians(tilt)), noise, renderer, given.seed or 0)
+    studies = run_studies(asked, options, out, workers.choose(out), progress)
+    say_studies(studies)
+    from tactile_loc_touchability.files import write_document
+
+    document, written = write_document(studies, out)
+    return {**document, "written": say_written(written)}
+
+
+def list_asked(
+    part: str, given: RunOptions, sensors: list[str] | None, presses_mm: list[float] | None, store: Path | None
+) -> list[tuple[Localizer, float]]:
+    """Return a localizer for each sensor, and the presses, metres. Raises ConfigError for an impossible press."""
+    from tactile_loc_touchability.study import PRESS_SHARE
+
+    asked: list[tuple[Localizer, float]] = []
+    names: list[str | None] = [*sensors] if sensors else [None]
+    for name in names:
+        config = make_config(replace(given, object=part, sensor=name))
+        localizer = open_localizer(config, store, asked[0][0].object if asked else None)
+        deepest_mm = 1e3 * localizer.scene.geometry.max_depth_m
+        for press_mm in presses_mm or [PRESS_SHARE * deepest_mm]:
+            if not 0 < press_mm <= deepest_mm:
+                raise ConfigError(
+                    f"the sensor {config.sensor.name} cannot be pressed {press_mm:g} mm deep; give `press_depth` more "
+                    f"than 0 and at most {deepest_mm:.3g}"
+                )
+            asked.append((localizer, 1e-3 * press_mm))
+    return asked
+
+
+def say_studies(studies: list[Study]) -> None:
+    """Write the shares of each sensor and press."""
+    obj = studies[0].localizer.object
+    size = " x ".join(format_mm(side) for side in obj.mesh.extents_m)
+    say(f"{obj.name}: {size} mm, symmetry {obj.symmetry}")
+    rows = [["sensor, press", "touches", "simulated", "certain", "within 1 mm", "certain but wrong", "no feature"]]
+    for study in studies:
+        for one in study.list_shares():
+            shares = (format_percent(one[name]) for name in ("certain", "right", "wrong", "nothing"))
+            rows.append([study.name, str(one["touches"]), str(one["sets"]), *shares])
+    say_table(rows, left=1)

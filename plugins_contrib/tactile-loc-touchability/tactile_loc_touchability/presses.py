@@ -1,0 +1,111 @@
+"""Presses at random places of an object's surface, along the surface's normal or tilted from it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from tactile_loc import SensorGeometry
+from tactile_loc.plugin import GridError, ObjectModel, Poses
+from tactile_loc.plugin.helpers import bring_to_contact, invert, make_transform
+
+Floats = NDArray[np.float64]
+
+TRIES = 8  # directions that are tried at a place
+MOST_PLACES = 20  # places drawn at most, as a multiple of those wanted
+
+
+@dataclass(frozen=True, eq=False)
+class Presses:
+    """N presses of a sensor on an object: `T_sensor_object` (N, 4, 4), metres, of the pressed object.
+
+    The gel touches the places `places_m` (N, 3), metres, where the surface has the `normals` (N, 3), both in the
+    object's frame. `reached` is the share of the drawn places that the gel touches from a tried direction, 0 to 1.
+    """
+
+    T_sensor_object: Poses
+    places_m: Floats
+    normals: Floats
+    reached: float
+
+    def __len__(self) -> int:
+        return len(self.places_m)
+
+
+def draw_presses(
+    obj: ObjectModel, geometry: SensorGeometry, press_m: float, count: int, tilt_rad: float, rng: np.random.Generator
+) -> Presses:
+    """Draw `count` presses, `press_m` metres deep, at places drawn uniformly over the surface that a gel can touch.
+
+    The sensor moves against the surface's normal, tilted by at most `tilt_rad`: directions are uniform in this cone,
+    and so is the turn about them. It stops at the first contact and presses. If the gel does not touch the place then,
+    because other parts of the object are in the way, another direction is tried. Raises GridError if the gel touches
+    hardly any place.
+    """
+    found: list[Presses] = []
+    tried = 0
+    while (missing := count - sum(map(len, found))) > 0:
+        if tried >= MOST_PLACES * count:
+            raise GridError(
+                f"the sensor touches hardly any place of {obj.name}; press deeper, tilt more, or check the mesh's unit"
+            )
+        found.append(_press_places(obj, geometry, press_m, *draw_places(obj, missing, rng), tilt_rad, rng))
+        tried += missing
+    T, places, normals = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("T_sensor_object", "places_m", "normals")
+    )
+    return Presses(T, places, normals, count / tried)
+
+
+def draw_places(obj: ObjectModel, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Draw points (count, 3), metres, uniformly over the surface, and the normals (count, 3) there."""
+    triangles_m, areas = obj.mesh.triangles_m, obj.mesh.face_areas
+    faces = rng.choice(len(areas), count, p=areas / areas.sum())
+    a, b = rng.random((2, count, 1))
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    corner, u, v = (triangles_m[faces, k] for k in range(3))
+    across = np.cross(u - corner, v - corner)
+    return corner + a * (u - corner) + b * (v - corner), across / np.linalg.norm(across, axis=1, keepdims=True)
+
+
+def _press_places(
+    obj: ObjectModel,
+    geometry: SensorGeometry,
+    press_m: float,
+    places_m: Floats,
+    normals: Floats,
+    tilt_rad: float,
+    rng: np.random.Generator,
+) -> Presses:
+    """Return the presses at those of the places (N, 3) that the gel touches from one of TRIES directions."""
+    poses, left = np.tile(np.eye(4), (len(places_m), 1, 1)), np.arange(len(places_m))
+    for _ in range(TRIES):
+        T = _aim(geometry, places_m[left], _tilt(normals[left], tilt_rad, rng), rng)
+        T, touching = bring_to_contact(obj.mesh, T, geometry)
+        T[:, 2, 3] -= press_m
+        height_m = np.einsum("nj,nj->n", T[:, 2, :3], places_m[left]) + T[:, 2, 3]
+        hit = touching & (height_m < geometry.standoff_m)
+        poses[left[hit]] = T[hit]
+        left = left[~hit]
+    kept = np.setdiff1d(np.arange(len(places_m)), left)
+    return Presses(poses[kept], places_m[kept], normals[kept], len(kept) / max(1, len(places_m)))
+
+
+def _tilt(normals: Floats, tilt_rad: float, rng: np.random.Generator) -> Floats:
+    """Return directions (N, 3), uniform in cones about normals (N, 3)."""
+    cosines = rng.uniform(np.cos(tilt_rad), 1.0, (len(normals), 1))
+    return cosines * normals + np.sqrt(1 - cosines**2) * _draw_across(normals, rng)
+
+
+def _draw_across(axes: Floats, rng: np.random.Generator) -> Floats:
+    """Return random unit vectors (N, 3) that are perpendicular to unit vectors (N, 3)."""
+    drawn = rng.normal(size=axes.shape)
+    drawn -= np.einsum("nj,nj->n", drawn, axes)[:, None] * axes
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+
+
+def _aim(geometry: SensorGeometry, places_m: Floats, outward: Floats, rng: np.random.Generator) -> Poses:
+    """Return T_sensor_object (N, 4, 4) of sensors that look along -`outward` (N, 3), places at the gel's middle."""
+    x = _draw_across(outward, rng)
+    R_object_sensor = np.stack([x, np.cross(-outward, x), -outward], axis=-1)
+    gel_m = R_object_sensor @ geometry.gel_middle_m
+    return np.asarray(invert(make_transform(R_object_sensor, places_m - gel_m)))
