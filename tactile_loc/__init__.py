@@ -99,6 +99,7 @@ if TYPE_CHECKING:
     from tactile_loc.reports.page import Section as Section
     from tactile_loc.reports.report import write_page as write_page
     from tactile_loc.reports.report import write_report as write_report
+    from tactile_loc.reports.scene import frame_surface as frame_surface
     from tactile_loc.reports.sweep_figures import write_sweep as write_sweep
     from tactile_loc.sensors.calibration.labelling import LabelledFolder as LabelledFolder
     from tactile_loc.sensors.calibration.labelling import label_presses as label_presses

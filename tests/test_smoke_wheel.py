@@ -35,7 +35,8 @@ doctor) exit {doctor} ;;
 "run --out result") mkdir -p result && echo '{result}' > result/result.json && echo picture > result/result.png ;;
 --version) ;;
 --help) echo "Commands of tactile-loc-app, Commands of tactile-loc-benchmark" && \
-    echo "Commands of tactile-loc-inspect, Commands of tactile-loc-library" ;;
+    echo "Commands of tactile-loc-inspect, Commands of tactile-loc-library" && \
+    echo "Commands of tactile-loc-touchability" ;;
 *--camera*) refuse camera ;;
 benchmark*) refuse benchmark ;;
 *--finger*) refuse clearance ;;
@@ -46,6 +47,7 @@ benchmark*) refuse benchmark ;;
 *raycast*|*pyrender*) refuse render ;;
 inspect*) refuse inspect ;;
 library*) refuse library ;;
+touchability*) refuse touchability ;;
 *moco*) refuse learned ;;
 replay*) refuse recordings ;;
 *.step*) refuse step ;;

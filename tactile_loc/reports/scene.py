@@ -58,17 +58,24 @@ def build_surface_scene(
     """
     density = np.log10(np.maximum(100 * 1e-6 * found.density, 1e-30))  # per cent per square millimetre
     high = float(density.max())
-    points_mm = 1e3 * found.mesh.vertices_m
-    box_mm = np.stack([points_mm.min(axis=0), points_mm.max(axis=0)], axis=1)
-    bounds = (box_mm + np.array([-AROUND_MM, AROUND_MM])).round(2).tolist()
-    view = choose_view_on(found.mesh.vertices_m[int(found.density.argmax())], found.mesh.centroid_m)
-    axes = build_triad(box_mm, view, AXES_MM)
     return {
-        "mesh": pack_mesh(found.mesh),
+        **frame_surface(found.mesh, found.mesh.vertices_m[int(found.density.argmax())]),
         "log_density": pack_array(np.maximum(density, high - DECADES), "<f4"),
         "range": [high - DECADES, high],
         "marks": _place_marks(found.mesh, poses, truth, geometry),
         "spread_mm": 1e3 * found.spread_m,
+    }
+
+
+def frame_surface(mesh: TriangleMesh, shown_m: Floats) -> dict[str, Any]:
+    """Return a surface with its axes, ranges and a camera that sees its point `shown_m` (3,), metres, in front."""
+    points_mm = 1e3 * mesh.vertices_m
+    box_mm = np.stack([points_mm.min(axis=0), points_mm.max(axis=0)], axis=1)
+    bounds = (box_mm + np.array([-AROUND_MM, AROUND_MM])).round(2).tolist()
+    view = choose_view_on(shown_m, mesh.centroid_m)
+    axes = build_triad(box_mm, view, AXES_MM)
+    return {
+        "mesh": pack_mesh(mesh),
         "bounds": bounds,
         "camera": place_camera(np.concatenate([points_mm, _stack_points(axes["names"])]), bounds, view),
         "triad": axes,

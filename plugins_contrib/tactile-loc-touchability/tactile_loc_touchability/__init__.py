@@ -2,7 +2,9 @@
 
 Data flow: presses are drawn at places spread evenly over the part's surface (`presses`). Worker processes simulate
 their touches, and locate each of them, and some together, as `tactile-loc run` does (`locating`). The results give the
-shares of a study (`study`), which `files` writes.
+shares of a study (`study`). The wrong poses that explain a touch give the pairs of poses that touches confuse
+(`rivals`), the presses that separate them best (`together`), and features that would remove the confusion
+(`features`). `files` and `page` write all this.
 """
 
 from tactile_loc.plugin import CommandSpec, hookimpl

@@ -24,12 +24,16 @@ from tactile_loc.commands import (
 )
 from tactile_loc.plugin import ConfigError
 
+from tactile_loc_touchability.words import write_place
+
 if TYPE_CHECKING:
     from tactile_loc import Localizer
 
+    from tactile_loc_touchability.details import Findings
     from tactile_loc_touchability.study import Study
 
-DEFAULT_OUT = Path("touchability")
+DEFAULT_OUT, PAGE = Path("touchability"), "report.html"
+SAID = {"certain": "certain", "right": "within 1 mm"}
 
 Part = Annotated[
     str, typer.Argument(metavar="PART", help="Mesh file (STL, OBJ, PLY, STEP, ...) or demo object.", show_default=False)
@@ -78,7 +82,11 @@ def touchability(
     two or three end certain, and where. After an interruption, the same command resumes.
     """
     import numpy as np
+    from tactile_loc import write_page
 
+    from tactile_loc_touchability.details import find_details, give_answer
+    from tactile_loc_touchability.files import write_document
+    from tactile_loc_touchability.page import make_touchability_page
     from tactile_loc_touchability.study import StudyOptions, run_studies
 
     progress = make_progress()
@@ -87,10 +95,12 @@ def touchability(
     options = StudyOptions(touches, sets, float(np.radians(tilt)), noise, renderer, given.seed or 0)
     studies = run_studies(asked, options, out, workers.choose(out), progress)
     say_studies(studies)
-    from tactile_loc_touchability.files import write_document
-
-    document, written = write_document(studies, out)
-    return {**document, "written": say_written(written)}
+    found = find_details(studies, out, workers.choose(out), progress)
+    answer = give_answer(found)
+    say_findings(found, answer)
+    document, path = write_document(studies, found, answer, out)
+    page = write_page(make_touchability_page(studies, found, answer), out / PAGE)
+    return {**document, "written": say_written([path, page])}
 
 
 def list_asked(
@@ -126,3 +136,16 @@ def say_studies(studies: list[Study]) -> None:
             shares = (format_percent(one[name]) for name in ("certain", "right", "wrong", "nothing"))
             rows.append([study.name, str(one["touches"]), str(one["sets"]), *shares])
     say_table(rows, left=1)
+
+
+def say_findings(found: Findings, answer: str) -> None:
+    """Write the best touches, the confused pairs and the best feature."""
+    say(f"details: {found.study.name}")
+    for one in found.best:
+        places = ", ".join(write_place(found.study.presses.places_m[k]) for k in one.presses)
+        shares = " and ".join(f"{format_percent(one.shares[name])} {word}" for name, word in SAID.items())
+        say(f"best {len(one.presses)}: {places} mm: {shares}")
+    for number, pair in enumerate(found.pairs, 1):
+        say(f"pair {number}: {pair.describe()}")
+    say(found.features[0].describe() if found.features else found.no_feature)
+    say(answer)

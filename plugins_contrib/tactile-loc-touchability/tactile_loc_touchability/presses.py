@@ -11,6 +11,7 @@ from tactile_loc.plugin.helpers import bring_to_contact, invert, make_transform
 Floats = NDArray[np.float64]
 
 TRIES = 8  # directions that are tried at a place
+STRATUM, BITS = 16, 8  # points of which one is taken; bits of each coordinate of a place in the order
 MOST_PLACES = 20  # places drawn at most, as a multiple of those wanted
 
 
@@ -57,6 +58,29 @@ def draw_presses(
 
 
 def draw_places(obj: ObjectModel, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Draw points (count, 3), metres, and the surface's normals (count, 3) there, spread evenly over the surface.
+
+    Each point is uniformly distributed. STRATUM times as many points are put in an order in which neighbours are near
+    each other and face alike. Of each STRATUM successive points, one is taken.
+    """
+    points_m, normals = _draw_points(obj, STRATUM * count, rng)
+    low, extent_m = points_m.min(axis=0), obj.mesh.extents_m.max()
+    order = _sort_in_space(np.concatenate([(points_m - low) / extent_m, 0.5 + 0.5 * normals], axis=1))
+    taken = order.reshape(count, STRATUM)[np.arange(count), rng.integers(STRATUM, size=count)]
+    return points_m[taken], normals[taken]
+
+
+def _sort_in_space(points: Floats) -> NDArray[np.intp]:
+    """Return the order of points (N, D), 0 to 1, along Morton's curve."""
+    cells = np.clip((points * 2**BITS).astype(np.int64), 0, 2**BITS - 1)
+    key = np.zeros(len(points), np.int64)
+    for bit in reversed(range(BITS)):
+        for column in cells.T:
+            key = 2 * key + (column >> bit & 1)
+    return np.argsort(key, kind="stable")
+
+
+def _draw_points(obj: ObjectModel, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Draw points (count, 3), metres, uniformly over the surface, and the normals (count, 3) there."""
     triangles_m, areas = obj.mesh.triangles_m, obj.mesh.face_areas
     faces = rng.choice(len(areas), count, p=areas / areas.sum())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -111,17 +111,21 @@ def run_studies(
     outcomes, _ = resume_jobs("locating touches", queue, out, workers, progress)
     studies = []
     for localizer, press_m, presses, jobs in plans:
-        done = [outcomes[job.key] for job in jobs]
-        if failed := [one.error for one in done if one.error]:
-            raise TactileLocError(f"touches of {localizer.object.name} cannot be located: {failed[0]}")
-        rows = [
-            (len(some), row)
-            for job, one in zip(jobs, done, strict=True)
-            for some, row in zip(job.sets, (one.measured or {})["rows"], strict=True)
-        ]
+        rows = list(zip((len(some) for job in jobs for some in job.sets), collect_rows(jobs, outcomes), strict=True))
         of = {n: [row for count, row in rows if count == n] for n in (1, *TOGETHER)}
         studies.append(Study(localizer, press_m, options, presses, of[1], {n: of[n] for n in TOGETHER if of[n]}))
     return studies
+
+
+def collect_rows(jobs: Sequence[LocatingSets], outcomes: Mapping[str, Any]) -> list[Row]:
+    """Return the rows of all sets of jobs, in their order. Raises TactileLocError if a job failed."""
+    rows: list[Row] = []
+    for job in jobs:
+        outcome = outcomes[job.key]
+        if outcome.error:
+            raise TactileLocError(f"touches cannot be located: {outcome.error}")
+        rows += outcome.measured["rows"]
+    return rows
 
 
 def draw_sets(localizer: Localizer, press_m: float, options: StudyOptions) -> tuple[Presses, list[tuple[Rows, ...]]]:

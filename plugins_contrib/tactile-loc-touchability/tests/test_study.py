@@ -1,6 +1,5 @@
 """Studies of a part whose ends differ, and of a block that is the same on many sides."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,23 +8,11 @@ import pytest
 from tactile_loc import Localizer, LocalWorkers, PoseJudge
 from tactile_loc.plugin import Progress
 
-from tactile_loc_touchability.files import write_document
 from tactile_loc_touchability.locating import NOTHING, measure_set
 from tactile_loc_touchability.study import RIGHT_M, Study, StudyOptions, run_studies, share_rows
 
 FEW = StudyOptions(touches=20, sets=2, noise="none")
 PRESS_M = 6e-4
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("study")
-
-
-@pytest.fixture(scope="module")
-def localizer(folder: Path) -> Localizer:
-    grid = {"name": "whole", "directions": 300}
-    return Localizer.create("pin", sensor="gelsight-mini", grid=grid, store=folder / "store")
 
 
 def run(localizer: Localizer, folder: Path, options: StudyOptions = FEW) -> Study:
@@ -78,11 +65,3 @@ def test_shares_count_certain_right_and_wrong_rows():
     shares = share_rows(1, rows)
     found = [shares[name] for name in ("certain", "right", "wrong", "nothing")]
     assert found == [0.5, 0.5, 0.25, 0.25]
-
-
-def test_the_file_has_all_touches_and_the_shares(study, tmp_path):
-    document, (path,) = write_document([study], tmp_path)
-    written = json.loads(path.read_text())
-    assert written["studies"] == json.loads(json.dumps(document["studies"]))
-    assert len(written["touches"][0]) == 20
-    assert {"place_m", "verdict", "error_m"} <= set(written["touches"][0][0])

@@ -17,6 +17,8 @@ FEW = ["--touches", "20", "--sets", "1", "--workers", "1", "-o", "grid.direction
 
 
 def find_block(page: Path, language: str) -> str:
+    if not page.is_file():
+        pytest.skip(f"there is no {page}: these tests were copied out of the repository")
     (text,) = re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
     return text
 
