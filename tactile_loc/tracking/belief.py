@@ -18,16 +18,15 @@ from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Outcome
 
 LEAST_TOUCHES = 3  # fewer touches may agree on a wrong pose by chance
-SHARED = 0.3  # share of a touch's nats that counts, because touches of one slide have similar errors
+SHARED = 0.5  # share of a touch's nats that counts, because touches of one slide have similar errors
 DRAWS = 256  # poses drawn from a covariance
 
 
 def believe(found: Localization, obj: ObjectModel, tolerance: Tolerance) -> Localization:
     """Return the result of touches of one slide with the outcome that all of them together justify.
 
-    The first pose is right if the search has not missed the true pose, if no other pose found is right, and if its own
-    error is within the tolerance. The probability is the product of the three, or that of the model of outcomes if it
-    is greater. The first factor is that model's.
+    The first pose is right if no other pose found is right, and if its own error is within the tolerance. The
+    probability is the product of the two, or that of the model of outcomes if it is greater.
     """
     first, others = found.hypotheses[0], (*found.hypotheses[1:], *found.unlisted)
     trusted = len(found.touches) - len(found.agreement.outliers)
@@ -38,7 +37,7 @@ def believe(found: Localization, obj: ObjectModel, tolerance: Tolerance) -> Loca
     unlikely = np.array([min(0.0, first.prior_nats - one.prior_nats) for one in rivals])
     mode = 1 / (1 + float(np.exp(-SHARED * NATS_PER_IOU * trusted * losses - unlikely).sum()))
     within = measure_share_within(first.T_sensor_object, first.covariance, obj, tolerance)
-    right = (1 - found.outcome.missed) * mode * within
+    right = mode * within
     if right <= found.outcome.right:
         return found
     rest = (1 - right) / (1 - found.outcome.right)
