@@ -197,7 +197,7 @@ def locate_by_keys(localizer: Localizer, shown: Sequence[Sequence[Touch | None]]
     keys: list[int] = []
     batch = (np.inf, False, False)
     for each in shown:
-        touches += [touch for touch in each if touch is not None]
+        touches = thin([*touches, *(touch for touch in each if touch is not None)], APART_MM / MM)
         chosen = choose_key_touches(touches)
         if list(map(id, chosen)) != keys:
             keys, batch = list(map(id, chosen)), locate_keys(localizer, chosen)
