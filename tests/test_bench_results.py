@@ -35,34 +35,6 @@ def test_tables_are_found_in_printed_text():
     assert second.rows == [["0 to 1 %", "59%"]]
 
 
-@pytest.mark.parametrize(
-    ("text", "rows"),
-    [
-        ("| a | b |\n|---|---|\n| 1 | 2 | 3 |\n| 4 |\n", [[["1", "2"], ["4", ""]]]),
-        ("| a |\n|---|\n| 1 |\n| c |\n|---|\n| 3 |\n", [[["1"]], [["3"]]]),
-        (
-            "| a |\n|---|\n| 1 |\n  1 touch: pin taken for hook\n| 2 |\n\n| b |\n|---|\n| 3 |\n",
-            [[["1"], ["2"]], [["3"]]],
-        ),
-    ],
-    ids=["rows are cut or padded", "adjacent tables are separate", "lines between rows do not end a table"],
-)
-def test_each_table_has_its_rows(text, rows):
-    assert [table.rows for table in bench.find_tables(text)] == rows
-
-
-def test_columns_with_equal_names_are_compared_separately():
-    text = "| object | mean | mean |\n|---|---|---|\n| pin | 1.0 | 2.0 |\n"
-    changes = bench.find_changes(kept("1", text=text), kept("2", text=text.replace("1.0", "3.0")))
-    assert [(c.where, c.ratio) for c in changes] == [("joint: pin, mean", 3.0), ("joint: pin, mean 2", 1.0)]
-
-
-def test_saved_results_are_read_back(tmp_path):
-    path = kept("0.1.0").write(tmp_path)
-    assert path == tmp_path / "0.1.0" / "joint.json"
-    assert bench.Kept.read(path) == kept("0.1.0")
-
-
 def test_each_figure_is_compared_with_its_earlier_value():
     found = bench.find_changes(kept("1"), kept("2", text=PRINTED.replace("0.10", "0.30")))
     changes = {change.where: change for change in found}

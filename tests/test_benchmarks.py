@@ -89,20 +89,6 @@ def test_scan_errors_are_correlated_over_the_correlation_length(box):
     assert abs(covariances[2] / covariances[0]) < 0.35
 
 
-def test_splitting_edges_keeps_the_surface_closed_and_unchanged(box):
-    apart = TriangleMesh(box.triangles_m.reshape(-1, 3), np.arange(36).reshape(-1, 3))
-    scan = outside.simulate_scan(apart, 1e-4, 2e-3, np.random.default_rng(1))
-    assert trimesh.Trimesh(scan.vertices_m, scan.faces, process=False).is_watertight
-    fine = outside.split_edges(box, 1e-3)
-    edges = fine.vertices_m[fine.faces] - np.roll(fine.vertices_m[fine.faces], -1, axis=1)
-    assert np.linalg.norm(edges, axis=-1).max() <= 1e-3
-    assert fine.face_areas.sum() == pytest.approx(box.face_areas.sum())
-    np.testing.assert_allclose(fine.centroid_m, box.centroid_m, atol=1e-12)
-    solid = trimesh.Trimesh(fine.vertices_m, fine.faces, process=False)
-    assert solid.is_watertight
-    assert solid.volume == pytest.approx(0.020 * 0.012 * 0.008)
-
-
 def test_decimation_nearly_reaches_the_permitted_error():
     ball = meshed(trimesh.creation.icosphere(4, 0.010))
     found = outside.decimate(ball, 1e-4, np.random.default_rng(0))
@@ -140,12 +126,6 @@ def test_generated_parts_are_solids_of_the_size_of_machine_parts(parts):
             mesh = parts.make_mesh(f"{family}-{number:05d}")
             assert mesh.volume > 50  # mm^3
             assert 8 < mesh.extents.max() < 100
-
-
-def test_names_are_spread_over_the_families(parts):
-    names = parts.list_names(2 * len(parts.FAMILIES))
-    assert len(set(names)) == len(names)
-    assert {name.rpartition("-")[0] for name in names} == set(parts.FAMILIES)
 
 
 def test_a_name_determines_the_shape(parts):

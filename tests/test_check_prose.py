@@ -2,7 +2,7 @@
 
 import check_prose
 import pytest
-from check_prose import LONGEST, find_faults, read_code, read_page, split_sentences
+from check_prose import LONGEST, find_faults, read_code
 
 # For each pattern: a bad sentence, the reported phrase, and a similar good sentence.
 SAMPLES = [
@@ -37,35 +37,6 @@ def test_every_pattern_flags_a_sample():
     assert advice >= {*check_prose.PHRASES.values(), *check_prose.STARTS.values()}
 
 
-def test_a_page_is_split_into_paragraphs_headings_items_and_cells():
-    page = """# Title
-
-A paragraph of
-two lines.
-- An item
-    that goes on
-- Another one
-
-| column | other column |
-|---|---|
-| cell | `code` |
-
-```sh
-a command
-```
-
-    more code
-
-<!-- a comment -->
-Last.
-"""
-    found = [one for one in read_page(page) if one[1].strip("-")]
-    assert found == [
-        (1, "Title"), (3, "A paragraph of two lines."), (5, "- An item that goes on"), (7, "- Another one"),
-        (9, "column"), (9, "other column"), (11, "cell"), (11, "`code`"), (20, "Last."),
-    ]  # fmt: skip
-
-
 def test_code_is_split_into_docstrings_messages_and_comments():
     code = '''"""A module.
 
@@ -88,11 +59,6 @@ def act(path):
         (1, "A module."), (3, "Its second paragraph."), (5, "a trailing comment"), (8, "A comment of two lines"),
         (11, "Act at once."), (12, "CODE is not there: look at CODE"), (14, "one text in two lines"),
     ]  # fmt: skip
-
-
-def test_sentences_contain_no_code_and_no_link_targets():
-    text = "Run `make it. Now`, as in [this page](a.md#B). **Then** stop; or go: Here."
-    assert split_sentences(text) == ["Run CODE, as in this page.", "**Then** stop; or go:", "Here."]
 
 
 @pytest.mark.parametrize("text", ["Poses are compared with each other.", "Poses are compared with one another."])

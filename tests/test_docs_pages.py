@@ -175,24 +175,6 @@ def test_every_tunable_option_is_listed_with_its_default_and_its_effect():
     assert set(re.findall(rf"`((?:{'|'.join(TUNABLE)})\.\w+)`", page)) == tables.options()
 
 
-@pytest.mark.parametrize(
-    ("before", "after"), [("| `search.registered` | 150 |", "| `search.registered` | 151 |"), ("| >= 1 |", "| >= 2 |")]
-)
-def test_a_changed_table_cell_is_restored(before, after):
-    page = read_page("tuning.md")
-    assert before in page
-    assert tables.with_tables(page.replace(before, after)) == page
-
-
-def test_an_effect_of_a_removed_option_is_not_lost(tmp_path, monkeypatch):
-    page = tmp_path / "tuning.md"
-    page.write_text(read_page("tuning.md").replace("`tracker.modes` | 5", "`tracker.poses` | 5"), encoding="utf-8")
-    monkeypatch.setattr(tables, "TUNING", page)
-    with pytest.raises(SystemExit, match=r"tracker\.poses"):
-        tables.main()
-    assert "tracker.poses" in page.read_text(encoding="utf-8")
-
-
 def test_the_settings_of_the_page_on_tuning_work(tmp_path, monkeypatch, store):
     monkeypatch.setenv("TACTILE_LOC_STORE", str(store.root))
     names: dict[str, Any] = {}

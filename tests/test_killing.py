@@ -2,15 +2,13 @@
 
 import json
 
-import numpy as np
 import pytest
 from killing import remains
-from killing.commands import FLAT, Life, Moment, Place
+from killing.commands import FLAT, Place
 from killing.trials import Plan, Trials, run_trials
 from record import Done, Record
 
 from tactile_loc import StageKey, StageStore
-from tactile_loc.store.files import replace_file
 
 KEY = StageKey("bank", 1, {"mesh": "a"})
 
@@ -87,32 +85,11 @@ def test_parts_that_wait_for_their_library_are_lost_unless_it_is_written(place):
     assert remains.find_lost(before, remains.list_finished(place), place) == []
 
 
-def test_leftover_files_are_listed(place):
-    assert remains.list_leftovers(place) == ["HEX.partial"]
-    with replace_file(place.work / "a.txt") as temporary:
-        temporary.touch()
-        (place.temporary / "tmpabc").mkdir()
-        assert remains.list_leftovers(place) == [".tmp-new-a.txt", "HEX.partial", "tmpabc"]
-
-
 def test_the_answer_digest_ignores_times(place):
     before = remains.digest_answer(place)
     for text, same in (('{"name": "a", "seconds": 2}\n{"name": "b"}\n', True), ('{"name": "b"}\n', False)):
         (place.work / "found.jsonl").write_text(text)
         assert (remains.digest_answer(place) == before) == same
-
-
-def test_kill_moments_follow_the_seed_and_the_start_of_work():
-    life = Life(1.0, 3.0, 40)
-    moments = [Moment.draw(life, np.random.default_rng([1, n])) for n in range(50)]
-    assert moments == [Moment.draw(life, np.random.default_rng([1, n])) for n in range(50)]
-    assert all(0.8 <= m.seconds <= 3.0 if m.changes == 0 else 1 <= m.changes <= 40 for m in moments)
-
-
-def test_a_refusal_is_one_line_with_exit_code_2():
-    assert Done(2, "", "warning: x\nerror: no room\n").is_refusal
-    for done in (Done(1, "", "error: x\n"), Done(2, "", "error: x\nTraceback\n"), Done(2, "", "")):
-        assert not done.is_refusal
 
 
 def test_trials_are_recorded_in_a_file(tmp_path):

@@ -45,11 +45,6 @@ def test_a_flag_in_a_message_is_found(source):
     assert find_flags(source)
 
 
-@pytest.mark.parametrize("source", ['"""Options such as --units."""', "x = 'run tactile-loc store prune --all'"])
-def test_docstrings_and_whole_commands_may_have_flags(source):
-    assert not find_flags(source)
-
-
 def test_no_message_of_the_library_names_a_flag():
     found = {
         str(path.relative_to(LIBRARY)): flags

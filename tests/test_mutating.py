@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from mutants import TARGETS, counts, find_uncounted, sample
+from mutants import TARGETS, counts, find_uncounted
 
 ROOT = Path(__file__).parents[1]
 
@@ -60,18 +60,6 @@ def test_mutants_without_observable_effect_do_not_count(text):
 )
 def test_operators_change_only_within_arithmetic_or_within_bits(change, expected):
     assert counts(at("* 2", f"core/ReplaceBinaryOperator_{change}"), find_uncounted(SOURCE)) is expected
-
-
-def test_the_sample_depends_on_the_seed_only():
-    mutants = [(file, Mutant("operator", n, (1, 0), (1, 1))) for file in "ab" for n in range(50)]
-
-    def drawn(of: list, seed: int) -> list:
-        return [(of[i][0], of[i][1].occurrence) for i in sample(of, 20, seed)]
-
-    assert drawn(mutants, 3) == drawn(mutants[::-1], 3)
-    assert drawn(mutants, 3) != drawn(mutants, 4)
-    assert len(set(drawn(mutants, 3))) == 20
-    assert len(sample(mutants, 1000, 0)) == 100
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)

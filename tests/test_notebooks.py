@@ -9,7 +9,6 @@ import nbformat
 import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 from page_helpers import DOCS, ROOT, read_page
-from site_helpers import Site
 
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 NAMES = [path.stem for path in NOTEBOOKS]
@@ -78,13 +77,6 @@ def write_notebook(path: Path, *cells: nbformat.NotebookNode) -> Path:
     return path
 
 
-def test_an_error_in_a_cell_is_reported(notebooks, elsewhere, capsys):
-    path = write_notebook(elsewhere / "broken.ipynb", new_code_cell("1 / 0"))
-    assert notebooks.main() == 1
-    assert "ZeroDivisionError" in capsys.readouterr().err
-    assert notebooks.read_executed(path) is None
-
-
 def test_only_changed_notebooks_are_executed(notebooks, elsewhere, monkeypatch):
     executed: list[str] = []
 
@@ -151,25 +143,3 @@ def test_each_output_is_shown_in_its_richest_form_while_it_is_current(pages, tmp
     text, _ = pages.convert(path, "one/")
     assert "certain" not in text
     assert "Without outputs" in text
-
-
-@pytest.mark.slow
-def test_the_site_executes_a_notebook_once_and_checks_it(tmp_path):
-    site = Site(tmp_path.resolve())
-    site.write_notebook("sums", "print('forty', 40 + 2)")
-    page = site.folder / "out" / "site" / "notebooks" / "sums.html"
-    quick = site.make_docs("docs-quick")
-    assert (quick.returncode, quick.stdout, quick.stderr) == (0, "docs: out/site/index.html\n", "")
-    assert "Without outputs" in page.read_text()
-    made = site.make_docs()
-    assert (made.returncode, made.stderr) == (0, "")
-    text, source = page.read_text(), site.folder / "docs" / "notebooks" / "sums.ipynb"
-    assert ("forty 42" in text, "Without outputs" in text) == (True, False)
-    assert (page.parent / "sums" / "sums.ipynb").read_bytes() == source.read_bytes()
-    assert "sums has not changed" in site.make_docs().stdout
-    source.write_text(source.read_text().replace("Text.", "[absent](../absent.md)"))
-    refused = site.make_docs("docs-quick")
-    assert refused.returncode != 0
-    assert "absent.md" in refused.stderr
-    site.write_notebook("sums", "1 / 0")
-    assert site.make_docs().returncode != 0

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import figures
 import pytest
-from figures import Quote, check_page, find_sentences, find_unmarked, format_figure, list_quotes, renew_tables
+from figures import Quote, check_page, list_quotes, renew_tables
 from results import ROOT, Kept, Results, Table, read_latest
 
 TABLE = Table(["object", "median, ms", "error, mm"], [["pin", "56", "0.004 (0.1)"], ["hook", "101", "0.016 (0.2)"]])
@@ -105,66 +105,3 @@ def test_reviewed_text_is_bound_to_the_results(tmp_path, monkeypatch):
     assert read_latest(tmp_path)["slides"].beside == BESIDE
     with pytest.raises(SystemExit, match="there is no run others; there are slides"):
         figures.bind("others", tmp_path, tmp_path)
-
-
-def test_a_marker_selects_columns_of_a_table():
-    marker = "<!-- results: slides 1 | error, mm | object -->\n"
-    shown = renew_tables(marker, Results(slides=kept()))
-    assert shown == f"{marker}\n| error, mm | object |\n|---|---|\n| 0.004 (0.1) | pin |\n| 0.016 (0.2) | hook |\n"
-    assert renew_tables(shown, Results(slides=kept())) == shown
-    assert renew_tables(f"{marker}\nText.\n", Results(slides=kept())) == f"{shown}\nText.\n"
-    assert renew_tables("<!-- results: slides -->\nText.\n", Results()) == "<!-- results: slides -->\nText.\n"
-
-
-@pytest.mark.parametrize(
-    ("value", "before", "after"),
-    [
-        (0.104, "0.10", "0.10"), (0.106, "0.10", "0.11"), (12.5, "12", "12"), (12.5, "13", "13"), (12.6, "12", "13"),
-        (11482, "11 000", "11 482"), (11000, "11 000", "11 000"), (9000, "11 000", "9000"), (1.5, "+1.2", "+1.5"),
-        (-1.5, "+1.2", "-1.5"), (11000, "9000", "11 000"),
-    ],
-)  # fmt: skip
-def test_a_figure_keeps_the_format_of_the_previous_one(value, before, after):
-    assert format_figure(value, before) == after
-
-
-def test_sentences_with_figures_belong_to_their_marker():
-    text = """# A
-
-At 3 mm. `at 4 mm`, and so on.
-```
-| 5 mm |
-# 6 mm
-```
-
-<!-- results: one 1 -->
-
-| 1 mm |
-|---|
-
-- It took 7 s ([how](page.md#8-s)). Then 9 of
-  10 were there.
-
-<!-- results: two -->
-
-At 11.5, no more.
-
-## B
-
-At 2 GB."""
-    found = [(one.section, one.run, one.text) for one in find_sentences(text, [])]
-    assert found == [
-        ("A", "one", "At 3 mm."),
-        ("A", "one", "- It took 7 s ([how])."),
-        ("A", "one", "Then 9 of 10 were there."),
-        ("A", "two", "At 11.5, no more."),
-        ("B", "", "At 2 GB."),
-    ]
-    assert find_unmarked(text) == []
-
-
-def test_missing_values_and_missing_rows_are_reported():
-    few = replace(TIMES, values=lambda r: [1.0])
-    lost = replace(TIMES, values=lambda r: [*r.at("slides", 1, "median, ms", "head"), 1.0])
-    for quote, said in ((few, "1 values for 2 figures"), (lost, "no row of the table begins with ('head',)")):
-        assert said in "\n".join(check_page(NAME, PAGE, Results(slides=kept()), [quote]))

@@ -1,7 +1,6 @@
 """The check of the system libraries, with a missing library and stand-ins for package managers."""
 
 import _ctypes
-import os
 import shutil
 import subprocess
 import sys
@@ -110,40 +109,6 @@ def test_a_library_that_stays_missing_is_an_error(system, uid, installs, message
     assert uid == 0 or system.apt_calls == []
 
 
-BROWSER = ("chromium", "chromedriver")
-
-
-def for_tests(system: PretendedSystem) -> str:
-    """The last line of the search for the tests' browser, which always succeeds."""
-    result = system.run("system-packages.sh", "--tests")
-    assert result.returncode == 0, result.stderr
-    return result.stdout.splitlines()[-1]
-
-
-@pytest.mark.parametrize("there", [(), BROWSER[:1], BROWSER])
-def test_root_installs_the_missing_parts_of_the_browser(system, there):
-    for name in there:
-        system.command(name, ":")
-    system.user(0)
-    makes = [f'ln -sf "{system.folder}/bin/id" "{system.folder}/bin/{name}"' for name in BROWSER]
-    system.apt(installs="; ".join(makes))
-    assert "browser" in for_tests(system)
-    install = "noninteractive apt-get -qq install -y --no-install-recommends chromium chromium-driver"
-    assert system.apt_calls[1:] == ([] if there == BROWSER else [install])
-
-
-@pytest.mark.parametrize(("uid", "installs"), [(1000, ":"), (0, "exit 100"), (0, ":"), (0, None)])
-def test_a_missing_browser_only_skips_its_tests(system, uid, installs):
-    system.user(uid)
-    if installs:
-        system.apt(installs)
-    system.command("sudo", "exit 1")
-    system.command("python3.11", "exit 1")  # Python is not searched for either
-    said = for_tests(system)
-    assert "skipped" in said
-    assert not installs or said.endswith("chromium chromium-driver")
-
-
 def without_venv(system: PretendedSystem, marker: Path) -> str:
     """A Python that cannot make virtual environments until `marker` exists."""
     return (
@@ -160,12 +125,6 @@ def test_the_venv_module_is_installed_for_the_python_that_lacks_it(system):
     result = system.run()
     assert result.returncode == 0, result.stderr
     assert system.apt_calls[-1].endswith(f"python3.{sys.version_info.minor}-venv")
-
-
-def test_a_python_that_makes_virtual_environments_is_preferred(system):
-    system.command("python3.11", without_venv(system, system.folder / "never"))
-    system.command("python3.12", f'exec "{sys.executable}" "$@"')
-    assert system.run("find-python.sh").stdout.strip() == os.path.realpath(sys._base_executable)
 
 
 @pytest.mark.parametrize(

@@ -42,14 +42,6 @@ def test_a_registration_that_lowers_the_iou_is_rejected():
     assert (result.converged, result.iterations) == (False, 3)
 
 
-def test_a_candidate_without_a_registration_is_unchanged():
-    problem = press_block()
-    candidate = problem.make_candidate(OFFSETS[0])
-    result = answering(None, converged=False).refine(problem.touch, candidate, problem.scene)
-    np.testing.assert_array_equal(result.T_sensor_object, candidate.T_sensor_object)
-    assert not result.converged
-
-
 def test_a_pose_without_overlap_has_not_converged():
     problem = press_block()
     away = dataclasses.replace(problem.make_candidate(), T_sensor_object=make_translation([0.2, 0, 0]) @ problem.truth)

@@ -1,7 +1,7 @@
 """Tables are aligned. Progress bars show the notes of the running task and vanish when it ends."""
 
 from tactile_loc_cli import console
-from tactile_loc_cli.console import Bars, Lines, complain, name_flags, say_table, write_flags
+from tactile_loc_cli.console import Bars, Lines, complain, name_flags, write_flags
 
 
 def test_a_note_is_shown_beside_the_running_bar(monkeypatch):
@@ -46,17 +46,3 @@ def test_names_of_settings_become_flags_of_the_command(capsys):
         complain("error", text)
     assert capsys.readouterr().err == f"error: {text}\n".replace("`touch_unit`", "--touch-unit")
     assert write_flags(text) == text
-
-
-def test_a_short_row_does_not_widen_a_column(capsys):
-    say_table([["name", "x", "y"], ["a", "1", "22"], ["b", "cannot be located at all"]], left=1, gap=2)
-    assert capsys.readouterr().out.splitlines() == ["name  x   y", "a     1  22", "b     cannot be located at all"]
-
-
-def test_a_narrow_window_wraps_the_last_column(capsys, monkeypatch):
-    rows = [["a", "about"], ["bc", "some words that do not fit"]]
-    say_table(rows, gap=2, fold=True)
-    assert capsys.readouterr().out.splitlines() == ["a   about", "bc  some words that do not fit"]
-    monkeypatch.setattr(console, "UNKNOWN_WIDTH", 25)
-    say_table(rows, gap=2, fold=True)
-    assert capsys.readouterr().out.splitlines() == ["a   about", "bc  some words that do", "    not fit"]

@@ -1,6 +1,5 @@
 """`tactile-loc identify`: from a folder of meshes and touches to a name, a table and an exit code."""
 
-import inspect
 import json
 import re
 from pathlib import Path
@@ -8,9 +7,6 @@ from pathlib import Path
 import pytest
 import trimesh
 from cli_helpers import assert_refused, succeed
-from tactile_loc_cli.commands.identify import identify as command
-
-from tactile_loc.locate.probability.null_evidence import NullEvidence
 
 SETTINGS = "temperature = 0.05\n[grid]\nname = 'whole'\ndirections = 300\nturns = 24\n"
 IDENTIFY = ["identify", "--objects", "parts", "--units", "mm", "--sensor", "gelsight-mini", "--config", "run.toml"]
@@ -83,7 +79,3 @@ def test_bad_input_is_one_sentence(cli, parts):
     trimesh.creation.box((30, 20, 6)).export(parts / "plate.obj")
     assert_refused(cli(*IDENTIFY, *touch), "plate")
     assert not Path("tactile-loc-identify").exists()
-
-
-def test_the_default_share_of_unknown_objects_is_that_of_python():
-    assert inspect.signature(command).parameters["unknown"].default == NullEvidence.prior

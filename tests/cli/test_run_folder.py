@@ -78,12 +78,6 @@ def test_poorly_explained_touches_are_named(cli, folder, monkeypatch):
     assert "touch-0001.npz" not in unrefined.stderr, "the imprint of a grid pose means little"
 
 
-def test_a_pattern_chooses_files(cli, folder):
-    assert cli("run", *PIN, "--touch", folder / "touch-*.npz", "--out", "out").exit_code == 0
-    assert [row["touch"] for row in rows(Path("out"))] == ["touch-0000.npz", "touch-0001.npz"]
-    assert_refused(cli("run", *PIN, "--touch", folder / "photo-*.png"), "photo-*.png", ".npz")
-
-
 def test_a_folder_without_a_locatable_touch_is_refused(cli, tmp_path):
     (tmp_path / "empty").mkdir()
     assert_refused(cli("run", *PIN, "--touch", "empty"), "empty", ".npz")

@@ -104,15 +104,6 @@ def test_the_list_names_the_object(cli):
     assert {entry["made_from"]["object"] for entry in entries} == {"pin"}
 
 
-def test_the_printed_list_has_one_row_per_entry(ask):
-    lines = ask("list").stdout.splitlines()
-    (row,) = [line for line in lines if "shapes" in line]
-    assert row.split() == ["shapes", SHAPES.short, *row.split()[2:4], "20", "d", "complete", "raycast,", "face"]
-    (left,) = [line for line in lines if "encoder" in line]
-    assert left.endswith("500 B 30 d interrupted")
-    assert lines[-1].startswith("5 entries, ")
-
-
 def test_the_printed_list_is_grouped_by_object(ask, place):
     """The object of the newest entry comes last, and so does the newest entry of each object."""
     build = StageStore(place).build

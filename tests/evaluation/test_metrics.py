@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
-from tactile_loc.plugin.helpers import SymmetryGroup, make_transform, make_translation, rotation_about
+from tactile_loc.plugin.helpers import SymmetryGroup, make_transform, rotation_about
 
 TRUE_POSE = make_transform(rotation_about([1, 2, 3], 0.7), [0.01, 0.02, 0.03])
 
@@ -23,14 +23,6 @@ def test_all_metrics_of_the_true_pose_and_its_equivalents_are_zero(cylinder):
     assert found["mssd"] == pytest.approx(0, abs=1e-3)
     assert found["add"] == pytest.approx(0, abs=1e-3)
     assert found["shape"] == pytest.approx(0, abs=0.02)  # between the flat faces of the mesh
-
-
-def test_a_shift_moves_every_point_and_the_shape_less(box):
-    found = measure_mm(box, make_translation([1e-4, 0, 0]))
-    assert found["mssd"] == pytest.approx(0.1)
-    assert found["add"] == pytest.approx(0.1)
-    areas = box.mesh.extents_m.prod() / box.mesh.extents_m
-    assert found["shape"] == pytest.approx(0.1 * areas[0] / areas.sum(), rel=0.3)  # the other faces slide
 
 
 def test_a_turned_shaft_has_its_shape_in_place_but_a_wrong_pose(cylinder):

@@ -8,12 +8,11 @@ import pytest
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'tactile-loc[sim]'")
 
 import controller
-from controller import MOST_GRASPS, Action, decide, find_chance, list_placements, move
-from planning_helpers import GEL
+from controller import MOST_GRASPS, Action, decide, find_chance, list_placements
 from shapes import PARTS
 from trials import CLEARANCES_MM, MOST_OFF_M, MOST_OFF_RAD, list_trials
 
-from tactile_loc import PoseModes, Verdict
+from tactile_loc import Verdict
 from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about, rotation_angle
 
 
@@ -91,22 +90,6 @@ def test_the_free_unused_placement_that_tells_most_is_chosen(monkeypatch, gains,
     found = rate(monkeypatch, gains, blocked)
     names = [placements[k].name for k in used]
     assert controller.choose_placement(found, placements, names) is placements[chosen]
-
-
-def test_possible_poses_are_the_hypotheses_and_the_first_one_moved(monkeypatch, cylinder):
-    modes = PoseModes((cylinder,) * 2, np.stack([np.eye(4)] * 2), np.array([0.8, 0.2]), GEL, 4e-4)
-    monkeypatch.setattr(controller.PoseModes, "of", lambda found: modes)
-    best = SimpleNamespace(base_covariance=np.diag([1e-6, 0, 0, 4e-4, 0, 0]), T_base_object=np.eye(4))
-    spread = controller.spread_modes(SimpleNamespace(best=best))
-    assert len(spread.objects) == len(spread.T_base_object) == 6
-    np.testing.assert_allclose(spread.probabilities, [0.4, 0.2, 0.1, 0.1, 0.1, 0.1])
-    np.testing.assert_allclose(np.abs(spread.T_base_object[2:, 0, 3]).max(), 2e-3)
-
-
-def test_a_pose_moves_by_an_error_in_the_world():
-    moved = move(make_translation([1, 0, 0]), np.array([0, 2e-3, 0, 0, 0, np.pi / 2]))
-    np.testing.assert_allclose(moved[:3, 3], [1, 2e-3, 0])
-    np.testing.assert_allclose(moved[:3, 0], [0, 1, 0], atol=1e-12)
 
 
 def test_trials_are_fixed_and_cover_all_parts_and_clearances():

@@ -5,17 +5,10 @@ import shlex
 from pathlib import Path
 
 import pytest
-from PIL import Image
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "stories.md").read_text()
 EXAMPLE = ROOT / "examples" / "insertion"
-LARGEST_BYTES = 3_000_000
-
-
-def test_the_page_shows_the_controller():
-    (shown,) = re.findall(r"^```py\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
-    assert shown in (EXAMPLE / "methods.py").read_text()
 
 
 def test_the_table_is_that_of_the_kept_trials():
@@ -40,10 +33,3 @@ def test_the_commands_of_the_page_have_valid_arguments():
     for _, script, *arguments in commands:
         assert (ROOT / script).exists()
         parse_arguments(arguments)
-
-
-def test_the_pictures_are_small_enough():
-    for name in re.findall(r"\((images/insertion[^)]*)\)", PAGE):
-        path = ROOT / "docs" / name
-        assert path.stat().st_size < LARGEST_BYTES
-        assert Image.open(path).width > 300

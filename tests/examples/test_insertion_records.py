@@ -83,11 +83,3 @@ def test_the_table_counts_successes_by_method_and_part():
     table = format_table(records)
     assert table.count("2 of 3") == len(METHODS)
     assert "| 0 of 1 | 1 of 1 | 1 of 1 |" in table
-
-
-def test_the_figure_is_drawn(tmp_path):
-    from figure import draw_comparison
-    from PIL import Image
-
-    draw_comparison([r for trial in TRIALS for r in make_records(trial)], tmp_path / "rates.png")
-    assert Image.open(tmp_path / "rates.png").width > 300

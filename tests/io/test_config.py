@@ -1,6 +1,5 @@
 import pytest
 from message_helpers import naming
-from pydantic import ValidationError
 
 from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.io.config import RunConfig, parse_overrides, parse_settings
@@ -21,14 +20,6 @@ def test_an_empty_table_gives_a_complete_configuration():
 def test_a_slot_may_be_flat_or_nested_or_a_name_alone(written):
     slot = RunConfig.from_dict({"refiner": written}).refiner
     assert (slot.name, slot.options) == ("icp", {} if written == "icp" else {"max_iterations": 7})
-
-
-def test_a_value_that_is_set_leaves_the_other_defaults():
-    config = RunConfig.from_dict({"top": 3, "object": {"units": "mm"}})
-    assert (config.top, config.object.units, config.object.path) == (3, "mm", RunConfig().object.path)
-    assert config.refiner == RunConfig().refiner
-    with pytest.raises(ValidationError, match="frozen"):
-        config.top = 4
 
 
 @pytest.mark.parametrize(
@@ -58,13 +49,6 @@ def test_a_bad_value_is_refused_with_its_source_and_entry(values, named):
         RunConfig.from_dict(values, "run.toml")
     assert "run.toml" in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_a_file_is_read(tmp_path):
-    path = tmp_path / "run.toml"
-    path.write_text('top = 4\n[grid]\nname = "face"\nspacing_mm = 3.5\n[object]\npath = "hook"\n')
-    config = RunConfig.from_toml(path)
-    assert (config.top, config.object.path, config.grid.options) == (4, "hook", {"spacing_mm": 3.5})
 
 
 def test_files_that_cannot_be_read_are_refused(tmp_path):

@@ -9,10 +9,6 @@ from tactile_loc.io.shape_pictures import DEPTHS, NO_CONTACT, UNSEEN, paint_shap
 from tactile_loc.slots.registry import registry
 
 
-def test_a_colour_is_read_as_numbers():
-    assert read_colour("#0180ff") == (1, 128, 255)
-
-
 def test_the_scale_runs_from_full_penetration_to_the_press_depth():
     geometry = registry().create("sensor", "gelsight-mini", {}).geometry.resize_long_side(40)
     observed = np.ones(geometry.shape, bool)

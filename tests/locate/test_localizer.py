@@ -15,7 +15,6 @@ from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
 from tactile_loc.core.sensing.touch import ContactShape, Touch
 from tactile_loc.evaluation.metrics import compute_nees
 from tactile_loc.io.meshes.mesh_files import load_object
-from tactile_loc.io.touches import write_touch
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
@@ -95,14 +94,6 @@ def test_a_result_is_sorted_and_complete(pin, touches):
     for h in found.hypotheses:
         assert np.array_equal(h.T_sensor_object_grid, pin.model.grid.T_sensor_object[h.grid_index])
         assert h.grid_poses >= 1
-
-
-def test_best_pose_is_the_most_probable_refined(pin, touches):
-    touch = touches[1]
-    best = pin.localize(touch).best
-    expected = pin.refine(touch, pin.posterior(touch), [best.grid_index])[0]
-    assert np.array_equal(best.T_sensor_object, expected.T_sensor_object)
-    assert np.array_equal(pin.find_most_probable_pose(touch).T_sensor_object, expected.T_sensor_object)
 
 
 def test_a_frame_without_contact_is_a_result(pin):
@@ -267,11 +258,6 @@ def test_the_frame_of_the_mesh_does_not_matter(pin_files, store):
         assert np.median(gaps_mm) < 0.1
 
 
-def test_a_touch_read_from_a_file_has_the_same_result(pin, touches, tmp_path):
-    again = pin.read_touch(write_touch(tmp_path / "touch.npz", touches[2]))
-    np.testing.assert_allclose(pin.posterior(again).log_p, pin.posterior(touches[2]).log_p, atol=1e-3)
-
-
 def test_banks_are_kept_by_press_depth_and_the_touch_is_cut_at_that_of_its_bank(coarse):
     """A press between the depths of two banks is compared at the lighter depth."""
     assert coarse.listed.matcher(0.001) is coarse.listed.matcher(0.00109), "banks have steps of 0.1 mm"
@@ -326,32 +312,6 @@ def test_a_touch_of_another_sensor_is_refused(pin, touches):
         pin.find_most_probable_pose(touch)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cells", [10, 100])
-def test_an_encoder_may_have_more_cells_than_the_bank_has_pixels(store, cells):
-    localizer = Localizer.create("pin", store=store, **COARSE, encoder={"name": "pixel", "cells": cells})
-    index = localizer.model.size // 3
-    T = localizer.model.grid.T_sensor_object[index]
-    posterior = localizer.posterior(Touch(localizer.scene.contact_shape(T, 0.002), localizer.scene.geometry))
-    assert posterior.probabilities[index] >= 0.3 * posterior.probabilities.max()
-    assert posterior.entropy < 0.8 * np.log(localizer.model.size)
-
-
-def test_a_change_of_refiner_or_matcher_rebuilds_nothing(coarse, store):
-    coarse.localize(coarse.simulate(1, seed=9)[0])
-    before = len(store.built)
-    for change in (
-        {"refiner": "none"},
-        {"matcher": "faiss"},
-        {"matcher": {"name": "faiss", "kind": "hnsw"}},
-        {"top": 3},
-        {"temperature": 0.5},
-    ):
-        localizer = Localizer.create("pin", store=store, **COARSE, **change)
-        localizer.localize(localizer.simulate(1, seed=9)[0])
-    assert len(store.built) == before
-
-
 def test_invalid_touches_priors_and_numbers_are_refused(coarse, tmp_path):
     with pytest.raises(TouchError, match=naming("'touch.npz'", "Localizer.read_touch")):
         coarse.localize("touch.npz")
@@ -385,16 +345,6 @@ def test_the_store_may_be_a_folder(tmp_path):
 def test_bad_settings_are_refused(settings, said):
     with pytest.raises(ConfigError, match=naming(*said)):
         Localizer.create("pin", **settings)
-
-
-def test_a_hotter_temperature_is_less_certain(store, coarse):
-    (touch,) = coarse.simulate(1, seed=10)
-    entropies = [
-        Localizer.create("pin", store=store, **COARSE, temperature=t).posterior(touch).entropy
-        for t in (1e-4, 1e-3, 1e-1)
-    ]
-    assert entropies == sorted(entropies)
-    assert entropies[0] < entropies[-1]
 
 
 def test_only_the_most_recent_matchers_stay_in_memory(coarse, monkeypatch):
@@ -433,12 +383,6 @@ def test_a_refined_pose_has_a_covariance(pin, touches):
         for one, touch in zip(found, touches, strict=False)
     ]
     assert np.median(squared) < 40
-
-
-def test_an_unrefined_pose_has_no_covariance(store):
-    localizer = Localizer.create("pin", store=store, refiner="none", **COARSE)
-    found = localizer.localize(localizer.simulate(1, seed=0)[0])
-    assert all(h.refined.covariance is None for h in found.hypotheses)
 
 
 def test_the_most_probable_pose_has_a_probability_a_verdict_and_a_covariance(pin, touches):

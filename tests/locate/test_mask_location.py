@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from locate_helpers import draw_examples, list_poses, locate_together
 
-from tactile_loc import Localizer, Touch, write_touch
+from tactile_loc import Localizer, Touch
 from tactile_loc.core.poses.tolerance import measure_shape_distances
 from tactile_loc.locate.hypotheses import compute_nats
 from tactile_loc.locate.result.verdict import Outcome, Verdict
@@ -59,13 +59,6 @@ def test_a_mask_is_located_on_a_listed_grid(store):
     found = localizer.localize(hide_depths(localizer.simulate(1, seed=3)[0], localizer.sensor))
     assert found.verdict is not Verdict.CERTAIN
     assert found.best.imprint_iou > 0.7
-
-
-def test_a_mask_is_read_from_a_file(localizer, examples, tmp_path):
-    touch = examples[0][0]
-    path = write_touch(tmp_path / "touch.npz", touch)
-    assert not localizer.read_touch(path).has_depths
-    np.testing.assert_array_equal(localizer.read_touch(path).contact_shape.contact, touch.contact_shape.contact)
 
 
 def test_no_coverage_is_promised_for_a_mask_and_an_encoder_trained_on_depths_refuses_it(localizer, examples, store):

@@ -128,13 +128,6 @@ def error_m(block, found) -> float:
     return float(block.model.grid.metric.symmetric_distance(T[None], np.eye(4)[None])[0])
 
 
-def test_touches_of_a_block_agree(block, touches):
-    found = locate_together(block, touches)
-    assert (found.outliers, found.left_out, found.agreement.contradictory) == ((), (), False)
-    assert error_m(block, found) < 1e-3
-    assert found.best.imprint_iou == pytest.approx(np.mean(found.best.imprint_ious))
-
-
 def test_a_touch_with_a_wrong_sensor_pose_is_named_and_does_not_shift_the_pose(block, touches):
     found = locate_together(block, with_moved(touches, 1))
     assert [touch.name for touch in found.outliers] == [touches[1].name]

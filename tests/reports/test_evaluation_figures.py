@@ -5,7 +5,7 @@ import pytest
 from report_helpers import CONTACTS, make_contact_table, make_recall_runs, make_touch_table
 
 from tactile_loc.evaluation.fusion import FUSED_LINES
-from tactile_loc.evaluation.paper_tables import normalise_errors, summarise_lines
+from tactile_loc.evaluation.paper_tables import summarise_lines
 from tactile_loc.evaluation.protocol import LINES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.table import ExampleTable, join_runs
@@ -45,32 +45,6 @@ def test_violins_have_a_panel_for_each_object_and_a_colour_for_each_encoder(tabl
     words = " ".join(text.get_text() for text in legend.get_texts())
     for word in ("pixel", "other", "random", "closest"):
         assert word in words
-
-
-def is_legend_inside(figure) -> bool:
-    figure.canvas.draw()
-    (legend,) = figure.legends
-    box, page = legend.get_window_extent(), figure.bbox
-    return page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1
-
-
-@pytest.mark.parametrize("encoder", ["pixel", "an-encoder-with-a-long-name"])
-def test_the_legend_of_a_single_panel_is_not_cut_off(encoder):
-    assert is_legend_inside(draw_contacts(make_contact_table("pin", encoder, 0), "title"))
-    assert is_legend_inside(draw_violins(make_touch_table("pin", encoder, 0), "title"))
-
-
-def test_violins_mark_the_medians():
-    run = make_touch_table("pin", "pixel", 0)
-    axes = draw_violins(run, "t").axes[0]
-    dots = [line for line in axes.lines if line.get_marker() == "o"]
-    medians = [np.median(normalise_errors(run, line)) for line in DRAWN]
-    assert [10 ** dot.get_ydata()[0] for dot in dots] == pytest.approx(medians)
-    levels = [10 ** line.get_ydata()[0] for line in axes.lines if line.get_marker() != "o"]
-    expected = [np.median(normalise_errors(run, line)) for line in ("random", "closest")]
-    assert levels == pytest.approx(expected)
-    low, high = axes.get_ylim()
-    assert all(low <= np.log10(m) <= high for m in medians)
 
 
 def test_errors_of_zero_are_drawn_on_the_floor_also_of_a_single_touch(tmp_path):
@@ -134,18 +108,6 @@ def test_each_object_has_a_panel_with_medians_and_quartiles():
         assert "mm" in axes.get_title()
     assert "ADD" in panels(figure)[0].get_ylabel()
     assert figure._suptitle.get_text() == "the title"
-
-
-def test_encoders_have_different_lines_and_kinematic_is_drawn_once():
-    runs = [make_contact_table("pin", encoder, i) for i, encoder in enumerate(("pixel", "other"))]
-    figure = draw_contacts(ExampleTable.join(runs), "t")
-    (axes,) = panels(figure)
-    curves = [c for c in axes.lines if tuple(c.get_xdata()) == CONTACTS]
-    assert len(curves) == 5
-    assert len({(c.get_color(), c.get_linestyle()) for c in curves}) == 5
-    words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
-    for word in ("pixel", "other", "kinematic", "random"):
-        assert word in words
 
 
 def test_the_figure_has_two_curves_for_each_number_of_touches_and_noise():

@@ -10,7 +10,6 @@ from tactile_loc.reports.distribution import (
     compute_vertex_areas,
     compute_yaw_rad,
     count_yaws,
-    find_touched_vertices,
     map_sides,
     spread_over_surface,
 )
@@ -56,35 +55,12 @@ def test_the_probability_sums_to_one_and_lies_under_the_sensor(rod, flat_camera,
     assert away[found.density.argmax()] < 0.002
 
 
-def test_two_places_share_the_probability_by_their_weights(rod, flat_camera, centre):
-    places = np.array([[0.004, 0.0, 0.02], [0.004, 0.0, -0.02]])
-    T = make_transform(np.broadcast_to(np.eye(3), (2, 3, 3)), centre - places)
-    found = spread_over_surface(rod, T, np.array([0.8, 0.2]), flat_camera, 0.001)
-    assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.8)
-
-
 def test_the_back_of_a_thin_wall_gets_no_probability(flat_camera, centre):
     plate = surface(trimesh.creation.box((0.03, 0.03, 0.0005)))
     T = make_transform(np.eye(3), centre - [0.001, 0.002, -0.00025])[None]  # on its lower side
     found = spread_over_surface(plate, T, np.ones(1), flat_camera, 0.002)
     assert found.mass.sum() == pytest.approx(1.0)
     assert found.mass[found.mesh.vertices_m[:, 2] > 0].sum() == pytest.approx(0.0, abs=1e-12)
-
-
-def test_uniform_weights_give_a_uniform_density(flat_camera, centre):
-    plate = surface(trimesh.creation.box((0.04, 0.04, 0.01)))
-    x, y = (v.ravel() for v in np.meshgrid(*[np.linspace(-0.019, 0.019, 39)] * 2))
-    T = make_transform(np.eye(3), centre - np.column_stack([x, y, np.full(len(x), -0.005)]))
-    found = spread_over_surface(plate, T, np.full(len(x), 1 / len(x)), flat_camera, 0.002)
-    inside = (np.abs(found.mesh.vertices_m[:, :2]).max(axis=1) < 0.012) & (found.mesh.vertices_m[:, 2] < 0)
-    assert found.density[inside] == pytest.approx(1 / 0.04**2, rel=0.25)
-
-
-def test_the_nearest_point_is_searched_in_the_object_frame(rod, flat_camera, centre):
-    (R,) = draw_rotations(1, np.random.default_rng(5))
-    for vertex in (0, 7, 30):
-        T = make_transform(R, centre - R @ (rod.vertices_m[vertex] * 1.0))
-        assert find_touched_vertices(rod, T[None], flat_camera).tolist() == [vertex]
 
 
 @pytest.mark.parametrize("normal", [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0.3, -0.5, 0.2]])
@@ -110,13 +86,6 @@ def test_a_lattice_has_a_bar_for_each_yaw_and_irregular_yaws_are_counted_in_bins
     irregular = count_yaws(draw_rotations(500, np.random.default_rng(0)), np.full(500, 1 / 500))
     assert len(irregular["percent"]) == 36
     assert sum(irregular["percent"]) == pytest.approx(100)
-
-
-def test_poses_on_one_face_have_one_side():
-    R = rotation_about(Z, np.linspace(0, 6, 20)) @ align_to_z([0, -1, 0])
-    found = map_sides(R, np.full(20, 0.05))
-    assert found["kind"] == "one"
-    assert found["normal"] == pytest.approx([0, 1, 0])
 
 
 def test_small_tilts_are_mapped_in_the_sensor_frame():

@@ -11,7 +11,7 @@ from report_helpers import UNFRIENDLY
 
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.reports.page import load_templates
-from tactile_loc.reports.pictures import ImageBorders, draw_difference, draw_shape, trace_outline
+from tactile_loc.reports.pictures import ImageBorders, draw_difference, trace_outline
 
 
 def pixels(uri: str) -> np.ndarray:
@@ -30,13 +30,6 @@ def shapes(flat_camera) -> tuple[ContactShape, ContactShape]:
         depth[10:30, start : start + 20] = depth_m
         found.append(ContactShape(depth, 0.002))
     return found[0], found[1]
-
-
-def test_the_picture_of_a_shape_shows_only_contact(shapes, flat_camera):
-    image = pixels(draw_shape(shapes[0], flat_camera))
-    assert image.shape[:2] == flat_camera.shape
-    assert (image[..., 3] > 0).sum() == 20 * 20
-    assert image[15, 25, :3].astype(int) == pytest.approx([33, 145, 140], abs=3)  # the middle of viridis
 
 
 def test_a_difference_is_red_for_deeper_pixels_and_blue_for_shallower_ones(shapes, flat_camera):

@@ -6,18 +6,15 @@ from message_helpers import naming
 from report_helpers import make_sweep
 
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.evaluation.sweep.tables import format_summary, require_line
+from tactile_loc.evaluation.sweep.tables import require_line
 from tactile_loc.evaluation.sweep.uncertainty import Estimate
 from tactile_loc.reports.sweep_figures import (
-    DIGIT,
-    LINE,
     Point,
     compute_effects,
     draw_effects,
     draw_error_time,
     find_pareto_front,
     list_points,
-    place_labels,
     write_ranges,
 )
 
@@ -80,24 +77,6 @@ def test_numbers_are_written_in_ranges(numbers, text):
     assert write_ranges(numbers) == text
 
 
-def test_coincident_points_share_a_label():
-    labels = place_labels(np.array([[0, 0], [200, 5], [1.0, 1.0]]), [4, 5, 6])
-    assert [(one.text, one.members) for one in labels] == [("4, 6", (0, 2)), ("5", (1,))]
-
-
-def test_labels_do_not_overlap():
-    places = np.array([[10.0 * i, 0.0] for i in range(4)])
-    boxes = []
-    for label in place_labels(places, [11, 12, 13, 14]):
-        dx, dy = label.offset_pt
-        width = DIGIT * len(label.text)
-        left = {"left": 0.0, "right": -width, "center": -width / 2}[label.alignment]
-        boxes.append(places[label.members[0]] + [dx + left, dy])
-    for i, a in enumerate(boxes):
-        for b in boxes[:i]:
-            assert abs(a[0] - b[0]) >= 2 * DIGIT or abs(a[1] - b[1]) >= LINE
-
-
 BASE_MM = {"none": 4.0, "icp": 1.0, "filterreg": 0.5}
 
 
@@ -139,21 +118,6 @@ def test_points_are_geometric_means_over_objects():
     assert len(list_points(sweep, "chosen", "none")) == 6
 
 
-def test_a_point_needs_results_of_all_objects():
-    sweep = make_sweep(
-        VALUES, lambda one: "bad" if one.place[0] == 1 and one.config.refiner.name == "icp" else product(one)
-    )
-    assert [p.label.split()[-1] for p in list_points(sweep, "chosen", "none")] == ["none", "filterreg"] * 2
-
-
-def test_cells_are_means_over_seeds():
-    sweep = make_sweep(
-        {**VALUES, "seed": [0, 1, 2]}, lambda one: {**product(one), "chosen_median_mm": float(one.config.seed)}
-    )
-    found = sweep.compute_medians("chosen")
-    assert {(one.error_mm, one.time_ms) for one in found} == {(1.0, 20.0), (1.0, 80.0)}
-
-
 def test_the_pareto_front_holds_the_points_that_no_point_beats():
     placed = [(1, 9), (2, 5), (2, 6), (3, 5), (4, 2), (9, 3), (9, 1)]
     found = [Point((i,), str(i), Estimate(error), Estimate(time)) for i, (time, error) in enumerate(placed)]
@@ -167,25 +131,3 @@ def test_only_lines_of_the_protocol_are_accepted():
     assert require_line("reg-1") == "reg-1"
     with pytest.raises(ConfigError, match=naming("'best1'", "'best-1'")):
         require_line("best1")
-
-
-@pytest.mark.parametrize(("line", "time_ms"), [("best-1", 1.0), ("reg-1", 2.0), ("chosen", 8.0), ("reg-10", 8.0)])
-def test_error_and_time_are_of_the_same_line(line, time_ms):
-    """`chosen` refines ten poses, so its error belongs to the time of ten."""
-    times = {"best-1_ms": 1.0, "reg-1_ms": 2.0, "chosen_ms": 8.0}
-    sweep = make_sweep({"object": "pin"}, lambda one: {f"{line}_median_mm": 3.0, **times})
-    (point,) = list_points(sweep, line, "strong")
-    assert (point.error_mm, point.time_ms) == pytest.approx((3.0, time_ms))
-    assert draw_error_time(sweep, line).axes[0].get_xlabel() == f"median time of {line} per touch (ms)"
-
-
-def test_the_titles_of_effects_state_what_else_changes():
-    def measure_grid(one):
-        spacing = one.config.grid.options["spacing_mm"]
-        return {"chosen_median_mm": spacing, "grid_id": str(spacing), "touches_id": "same"}
-
-    sweep = make_sweep({"object": "pin", "refiner": ["none", "icp"], "option": ["grid.spacing_mm=4,6"]}, measure_grid)
-    assert sweep.find_changed() == {"grid": ("grid",)}
-    titles = [axes.get_title(loc="left") for axes in draw_effects(sweep, "chosen").axes]
-    assert titles == ["grid; also changes the grid", "refiner, all else equal"]
-    assert "`grid` also changes the grid" in format_summary(sweep, "chosen")

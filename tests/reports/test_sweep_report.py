@@ -7,7 +7,6 @@ from message_helpers import missing, naming
 from report_helpers import Elements, html_of, page_in, sweep_rows, write_sweep
 
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.reports import write_report
 from tactile_loc.reports.sweep import find_components, find_measured_lines, find_varying, is_factor, read_rows
 
 
@@ -63,14 +62,6 @@ def test_failed_rows_are_listed_with_their_errors_and_not_drawn(tmp_path):
     assert ["pin", "icp", "4.0", "the grid is empty"] in found.rows
 
 
-def test_missing_columns_are_optional(tmp_path):
-    rows = [{"object": "pin", "refiner": name, "chosen_median_mm": 1} for name in ("a", "b")]
-    page = page_in(write_sweep(tmp_path, rows))
-    names = [section.name for section in page.sections]
-    assert "time" not in names
-    assert "effects" in names
-
-
 def test_a_sweep_with_only_failures_has_a_page(tmp_path):
     rows = [{"object": "pin", "refiner": name, "chosen_median_mm": None, "error": "no"} for name in ("a", "b")]
     page = page_in(write_sweep(tmp_path, rows))
@@ -94,17 +85,3 @@ def test_a_sweep_without_rows_or_readable_text_gives_a_one_sentence_error(tmp_pa
     (tmp_path / "sweep.json").write_bytes(b"object\n\xff\xfe\n")
     with pytest.raises(ResultError, match=naming("sweep.json", "JSON", "0xff")):
         page_in(tmp_path)
-
-
-def test_options_are_texts_and_nan_values_are_missing():
-    options = {"count": 5, "grid.spacing_mm": 4.0, "refiner.steps": [1, 2], "refiner.robust": True}
-    written = {"count": "5", "grid.spacing_mm": "4.0", "refiner.steps": "[1, 2]", "refiner.robust": "true"}
-    row = {"object": "pin", "chosen_median_mm": float("nan"), "grid_poses": 7, "error": ""}
-    read = {"object": "pin", "chosen_median_mm": None, "grid_poses": 7.0, "error": None}
-    assert read_rows({"rows": [row | options]}) == [read | written]
-
-
-def test_an_unpaired_surrogate_is_shown_escaped(tmp_path):
-    rows = [{**row, "object": "\ud800"} for row in sweep_rows()]
-    page = write_report(write_sweep(tmp_path, rows))
-    assert "ud800" in page.read_text(encoding="utf-8")

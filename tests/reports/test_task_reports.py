@@ -1,6 +1,5 @@
 """Pages of identifications, next touches, mounts and folders of touches."""
 
-import dataclasses
 import re
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from message_helpers import missing
 from PIL import Image
-from report_helpers import UNFRIENDLY, Elements
+from report_helpers import Elements
 
 from tactile_loc import Approach, Identification, KnownObject, NextTouch, PoseModes, RatedApproach, Verdict
 from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
@@ -59,12 +58,6 @@ def test_an_identification_has_its_verdict_as_title(localization):
     iou = f"{100 * localization.best.imprint_iou:.0f}"
     assert {"hook", "head", "none of these", "39.0", iou} <= set(list_cells(page))
     assert len(found.named("img")) == 1
-
-
-def test_names_are_shown_as_text(localization):
-    touch = dataclasses.replace(localization.touch, name=UNFRIENDLY)
-    found = dataclasses.replace(localization, touch=touch)
-    assert UNFRIENDLY in read(make_identification(found, [UNFRIENDLY, "head"])).text
 
 
 def test_a_folder_counts_its_verdicts(localization):

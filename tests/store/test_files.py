@@ -46,11 +46,6 @@ def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
     return request.param
 
 
-def test_a_possible_folder_is_accepted_and_not_created(tmp_path):
-    require_writable(tmp_path / "a" / "b")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_file_in_place_of_a_folder_is_refused(tmp_path):
     (tmp_path / "a").write_text("mine")
     for folder in (tmp_path / "a", tmp_path / "a" / "b"):
@@ -67,12 +62,6 @@ def test_a_folder_without_write_permission_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.TemporaryFile", refuse)
     with pytest.raises(OutputError, match=naming(tmp_path, "Permission denied", "`out`")):
         require_writable(tmp_path)
-
-
-def test_writing_makes_the_folder_and_leaves_one_file(tmp_path):
-    path = write_atomically(tmp_path / "new" / "a.txt", lambda p: p.write_text("all"))
-    assert path.read_text() == "all"
-    assert list(path.parent.iterdir()) == [path]
 
 
 @pytest.mark.parametrize(
@@ -206,15 +195,6 @@ def test_linux_exchanges_two_folders_at_once(tmp_path):
         pytest.skip("this file system does not exchange folders")
     assert names(tmp_path / "one") == ["other"]
     assert not files._exchange(tmp_path / "one", tmp_path / "none")
-
-
-@pytest.mark.usefixtures("any_file_system")
-def test_a_folder_is_created_and_replaced_without_remains(tmp_path):
-    folder = tmp_path / "new" / "folder"
-    for said in ("first", "second", "third"):
-        replace(folder, said)
-        assert text(folder) == said
-        assert names(folder.parent) == ["folder"]
 
 
 @pytest.mark.usefixtures("any_file_system")

@@ -7,15 +7,7 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc.core.runtime.errors import StoreError
-from tactile_loc.store.keys import (
-    MEANINGS,
-    StageKey,
-    hash_arrays,
-    hash_file,
-    hash_json,
-    hash_shortly,
-    write_canonical_json,
-)
+from tactile_loc.store.keys import StageKey, hash_arrays, hash_file, hash_json, hash_shortly, write_canonical_json
 
 
 def test_the_digest_is_that_of_the_canonical_json():
@@ -102,8 +94,3 @@ def test_hash_file_gives_the_digest_of_the_content(tmp_path):
     for path, word in ((tmp_path / "none.stl", "none.stl"), (Path("zero\0byte.stl"), "byte.stl")):
         with pytest.raises(StoreError, match=naming(word)):
             hash_file(path)
-
-
-def test_a_key_explains_its_stage():
-    assert MEANINGS["temperature"] in StageKey("temperature", 1, {}).explain()
-    assert StageKey("unheard-of", 1, {}).explain() == str(StageKey("unheard-of", 1, {}))

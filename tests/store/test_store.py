@@ -1,11 +1,9 @@
 import json
-import logging
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from message_helpers import missing, naming
+from message_helpers import naming
 from store_helpers import KEY, Five, folder_of, forbidden, run_python
 
 from tactile_loc.core.runtime.errors import StoreError
@@ -223,12 +221,3 @@ def test_the_default_root_follows_the_environment(monkeypatch, tmp_path):
     assert StageStore().root == tmp_path / "mine"
     assert StageStore(Path("~/other")).root == tmp_path / "other"
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_build_logs_its_start_and_its_end(store, caplog):
-    with caplog.at_level(logging.INFO):
-        store.build(KEY, Five())
-    begins, ends = (record.getMessage() for record in caplog.records)
-    assert not missing(begins, "bank", KEY.short)
-    assert not missing(ends, "bank", KEY.short)
-    assert re.search(r"\b0", ends), "the log gives no duration"

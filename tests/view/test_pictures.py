@@ -77,13 +77,6 @@ def test_a_photo_shows_the_outline_of_the_best_pose(localizer, localization):
     np.testing.assert_allclose([x_mm.min(), x_mm.max()], wanted_mm, atol=1.5e3 * geometry.pixel_pitch_m)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_few_candidates_have_one_caption_each(localizer, localization, count):
-    few = dataclasses.replace(localization, hypotheses=(localization.best,) * count)
-    captions = [text for text in texts(draw_result(few, localizer.scene, "pin")) if " %,  IoU " in text]
-    assert len(captions) == count
-
-
 def draw_several(localizer, localization, names: list[str], left_out: tuple[Touch, ...] = ()) -> Figure:
     others = tuple(dataclasses.replace(localization.touch, name=name) for name in names)
     ious = tuple(0.9 - 0.01 * k for k in range(len(names)))
@@ -117,17 +110,6 @@ def test_the_panels_of_several_touches_do_not_overlap(localizer, localization, c
     boxes = [axes.get_tightbbox(renderer) for axes in figure.findobj(Axes) if axes.get_title().startswith("a-very")]
     assert len(boxes) == count
     assert not [(a, b) for a, b in itertools.combinations(boxes, 2) if a.overlaps(b)]
-
-
-@pytest.mark.parametrize("size", [(6.0, 4.8), (4.4, 5.0), (7.0, 3.0)])
-def test_the_labels_of_the_pose_panel_do_not_overlap(localizer, localization, size):
-    figure = make_figure(*size)
-    axes = figure.add_axes((0.02, 0.075, 0.97, 0.815))
-    draw_pose(axes, dataclasses.replace(DrawnScene.of(localization), T_true=None))
-    figure.canvas.draw()
-    boxes = [(text.get_text(), text.get_window_extent()) for text in axes.texts]
-    crossed = [(a, b) for (a, box), (b, other) in itertools.combinations(boxes, 2) if box.overlaps(other)]
-    assert crossed == []
 
 
 def test_drawing_changes_neither_pyplots_figures_nor_its_settings(localizer, localization, tmp_path):

@@ -18,11 +18,6 @@ def test_the_view_is_a_rotation_with_z_up(azimuth, elevation):
     assert axes[2, 2] == pytest.approx(np.sin(np.radians(elevation)))
 
 
-def test_the_front_view_has_x_to_the_right_and_z_up():
-    assert FRONT.project(np.array([1.0, 5.0, 2.0])) == pytest.approx([1.0, 2.0])
-    assert Viewpoint(90.0, 0.0).project(np.array([1.0, 5.0, 2.0])) == pytest.approx([5.0, 2.0])  # from +x
-
-
 def test_a_box_has_the_right_area_and_volume():
     a, b, c = np.moveaxis(BLOCK, 1, 0)
     normals = np.cross(b - a, c - a) / 2

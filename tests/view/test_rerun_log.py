@@ -12,7 +12,7 @@ from rerun_helpers import read
 from tactile_loc import LocatedFrame, Verdict
 from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
 from tactile_loc.plugin.helpers import make_transform, rotation_about
-from tactile_loc.view.drawn_scene import DEVIATIONS, DrawnScene, DrawnSensor, describe_located
+from tactile_loc.view.drawn_scene import DEVIATIONS, DrawnScene, DrawnSensor
 from tactile_loc.view.rerun_log import RerunLog, require_rerun, write_localization
 
 T = make_transform(rotation_about([1, 2, 3], 0.8), [0.001, -0.002, 0.03])
@@ -68,12 +68,6 @@ def test_a_result_logs_its_posterior(rerun, localizer, localization, tmp_path):
     np.testing.assert_allclose(poses[0], localization.posterior.grid.T_sensor_object[best], atol=1e-12)
     assert shares[0] == pytest.approx(np.exp(localization.posterior.log_p[best]))
     assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
-
-
-def test_the_text_of_a_frame_needs_no_pose_and_no_covariance():
-    assert describe_located(None, "no contact") == "no contact"
-    assert describe_located(LocatedFrame(None, says="damaged")) == "refused\ndamaged"
-    assert "std" not in describe_located(replace(located(), covariance=None))
 
 
 def test_an_unusable_rerun_file_is_refused_before_the_run(rerun, tmp_path, monkeypatch):

@@ -10,7 +10,6 @@ import pytest
 from tactile_loc_app.export import _TEMPLATE
 from tactile_loc_app.page import markdown
 from tactile_loc_app.page.markdown import Paragraph, escape
-from tactile_loc_app.page.overlay import Overlay
 
 APP = Path(markdown.__file__).parent
 DRAWS_MARKUP = {"add_markdown", "add_html", "add_plotly", "add_uplot", "add_modal"}
@@ -80,20 +79,6 @@ def is_constant(text: ast.expr) -> bool:
         case ast.Name():
             return text.id.isupper()
     return isinstance(text, ast.Constant)
-
-
-def test_the_card_over_the_view_shows_texts_literally():
-    class Gui:
-        def add_html(self, content):
-            self.content = content
-            return self
-
-    client = type("Client", (), {"gui": Gui()})()
-    overlay = Overlay(client)
-    overlay.show_hint("<script>")
-    assert "<script>" not in client.gui.content
-    overlay.show_progress("<b>", 0.5)
-    assert "<b>" not in client.gui.content
 
 
 def test_few_modules_write_markup_and_all_templates_are_constant():

@@ -19,24 +19,17 @@ from tactile_loc import ContactShape, RunConfig, StageStore, write_touch
 from tactile_loc.core.runtime.errors import ObjectError
 from tactile_loc.io.images import encode_png
 from tactile_loc.plugin import ConfigError, MissingLibraryError, registry
-from tactile_loc.plugin.helpers import draw_rotations, make_transform
 from test_uploads import pack
 
 from tactile_loc_app.page.follower import Follower
 from tactile_loc_app.page.pictures import paint_beside, paint_photo, paint_wide
-from tactile_loc_app.page.scene_view import FROM, choose_magnification, frame_points, from_view, to_view
+from tactile_loc_app.page.scene_view import FROM, choose_magnification, frame_points
 
 if TYPE_CHECKING:
     from tactile_loc_app.page.panels import VisitorPage
 
 MINI = "gelsight-mini"
 CONFIG = RunConfig.from_dict({"object": {"path": "pin"}, "sensor": MINI})
-
-
-def test_poses_of_the_view_are_those_of_the_session():
-    T = make_transform(draw_rotations(1, np.random.default_rng(0))[0], [0.01, -0.02, 0.03])
-    node = type("Node", (), to_view(T))
-    np.testing.assert_allclose(from_view(node), T, atol=1e-12)
 
 
 @pytest.mark.parametrize(("std_m", "times"), [(5e-3, 1), (4e-4, 1), (4e-5, 10), (4e-9, 1000)])

@@ -170,13 +170,6 @@ def test_a_visit_that_is_loaded_again_keeps_its_session_and_two_tabs_stay_apart(
     assert not first.session.folder.exists()
 
 
-def test_the_page_has_its_own_title_and_icon(port):
-    text = ask(port)[1]
-    assert "<title>tactile-loc</title>" in text
-    assert "Viser</title>" not in text
-    assert "%232d5f9b" in text
-
-
 def test_visitors_who_leave_at_once_leave_nothing(server, port):
     for _ in range(16):
         with visit(port):

@@ -72,15 +72,6 @@ def test_a_press_moves_the_finger_along_its_axis_to_the_object(session):
     assert press.shape.depth_m.min() < 0.1 * DEPTH_M
 
 
-def test_the_gel_surface_is_pressed_in_by_the_press_depth(session):
-    press = session.press(session.T_base_sensor, DEPTH_M)
-    vertices, faces = press.build_gel_surface()
-    rest_m = session.scene.geometry.surface_m
-    assert vertices[:, 2].min() == pytest.approx(rest_m - DEPTH_M, abs=0.1 * DEPTH_M)
-    assert vertices[:, 2].max() == pytest.approx(rest_m, abs=1e-6)
-    assert faces.max() < len(vertices)
-
-
 def test_a_finger_beside_the_object_shows_no_contact_and_makes_no_touch(session):
     beside = make_translation([0.5, 0, 0]) @ session.T_base_sensor
     assert not session.press(beside, DEPTH_M).touches

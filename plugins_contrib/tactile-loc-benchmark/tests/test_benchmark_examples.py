@@ -67,13 +67,6 @@ def test_touches_state_where_the_sensor_was_in_a_random_base_frame(draw):
     assert np.ptp(found.T_base_object[:, :3, 3], axis=0).max() > 0.05
 
 
-def test_another_seed_gives_other_presses_and_another_key(draw):
-    assert (draw("sketch").T_sensor_object != draw("sketch", seed=8).T_sensor_object).any()
-    keys = {draw.drawer("sketch", **changes).key.digest for changes in ({}, {"seed": 8}, {"press": [0.3, 0.8]})}
-    assert len(keys) == 3
-    assert draw.drawer("sketch", method=["guess"]).key.digest == draw.drawer("sketch").key.digest
-
-
 def test_every_recorded_touch_is_an_example(draw):
     found = draw("archive")
     np.testing.assert_array_equal(found.count, [1, 0])

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from tactile_loc_benchmark.files import list_cells
 from tactile_loc_benchmark.job import METRICS
 from tactile_loc_benchmark.summary import bootstrap, summarise
 
@@ -69,8 +68,3 @@ def test_probabilities_and_certain_poses_are_compared_with_the_share_of_right_po
     assert group["covered"] == pytest.approx(0.8)
     (group,) = summarise([make_row(0, verdict="certain"), make_row(1, 9.0, verdict="certain"), make_row(2)])
     assert (group["certain"], group["certain_right"]) == (2, 1)
-
-
-def test_the_table_shows_the_share_with_its_interval():
-    (group,) = summarise([make_row(), make_row(1, 2.0)])
-    assert list(list_cells(group))[4] == "50 % (0 to 100)"

@@ -162,13 +162,6 @@ def test_a_run_in_another_folder_and_store_gives_the_same_table(run_small, tmp_p
     assert drop_times(one.results.rows) == drop_times(other.results.rows)
 
 
-def test_groups_follow_the_suite(finished):
-    found = [tuple(group[name] for name in ("source", "method", "touches")) for group in finished.results.groups]
-    found = [names for names in found if names[0] != "shy"]
-    sketch = [("sketch", method, touches) for method in ("oracle", "guess") for touches in (1, 2)]
-    assert found == [*sketch, ("archive", "guess", 1)]
-
-
 def test_objects_with_the_same_name_and_a_folder_that_cannot_be_written_are_refused(run_small, box_file, tmp_path):
     copy = tmp_path / box_file.name
     copy.write_text(box_file.read_text())

@@ -8,7 +8,7 @@ from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.plugin.helpers import invert, rotation_angle
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 
-from tactile_loc_benchmark.sliding_touches import MOST_RISE_M, SlidingTouches, Slip, draw_correlated, draw_smooth
+from tactile_loc_benchmark.sliding_touches import MOST_RISE_M, SlidingTouches, Slip
 
 GEOMETRY = SensorGeometry("orthographic", 80, 60, 4000.0, 4000.0, 40.0, 30.0, 0.01, 1e-3)
 COUNT, JUMP = 60, 40
@@ -82,13 +82,3 @@ def test_sensor_poses_have_errors_of_the_stated_size(box):
     turned = rotation_angle(off[:, :3, :3])
     assert np.sqrt((turned**2).mean() / 3) == pytest.approx(std_rad, rel=0.15)
     assert frames[0].touch.T_base_sensor_std_m == std_m
-
-
-def test_random_numbers_have_unit_variance_and_the_requested_correlation():
-    rng = np.random.default_rng(5)
-    smooth = draw_smooth(3000, 0.01, 40, rng)
-    assert np.sqrt((smooth**2).mean()) == pytest.approx(1.0, abs=0.03)
-    assert np.abs(np.diff(smooth, axis=0)).max() < 0.1
-    errors = draw_correlated(4000, 0.1, 20, rng)
-    assert errors.std() == pytest.approx(1.0, abs=0.05)
-    assert (errors[1:] * errors[:-1]).mean() == pytest.approx(0.9, abs=0.05)

@@ -16,7 +16,7 @@ from tactile_loc.commands import WorkerOptions
 from tactile_loc.plugin import ConfigError
 
 from tactile_loc_library import building
-from tactile_loc_library.building import WAITING, PartJob, add_parts, build_library, list_meshes, run_here
+from tactile_loc_library.building import WAITING, PartJob, build_library, list_meshes, run_here
 from tactile_loc_library.library import Library
 from tactile_loc_library.record import LibraryError, PlaceGrid
 
@@ -45,14 +45,6 @@ def test_the_library_has_a_row_and_a_record_for_each_mesh(built, meshes):
         assert row.source == record.source == f"{name}.stl"
         assert row.places == len(record.patches) == len(record.vectors) == len(record.placements)
     assert not (built / WAITING).exists()
-
-
-def test_jobs_in_another_order_give_equal_files(sources, built, tmp_path):
-    def backwards(jobs, sources):
-        return run_here(jobs[::-1], sources)
-
-    build_library(tmp_path / "other", sources[::-1], FEW, backwards)
-    assert read_files(tmp_path / "other") == read_files(built)
 
 
 def test_a_second_build_keeps_all_parts(library, sources):
@@ -144,15 +136,6 @@ def test_other_folders_grids_and_workers_are_refused(sources, tmp_path):
     job = PartJob("0" * 64, tmp_path, FEW)
     with pytest.raises(ConfigError, match="the worker's tactile-loc differs"):
         job.measure(sources[0], None)
-
-
-def test_adding_builds_only_new_parts(library, meshes, tmp_path):
-    shutil.copy(meshes / "part-3.stl", tmp_path / "other.stl")
-    done = add_parts(library.path, list_meshes([meshes / "part-2.stl", tmp_path / "other.stl"], "mm", "none"))
-    assert (done.made, done.kept) == (("other",), ("part-2",))
-    assert done.library.names == ("other", *NAMES)
-    assert (done.library.read("other").vectors == done.library.read("part-3").vectors).all()
-    assert not done.library.find_damage()
 
 
 def test_a_build_that_was_interrupted_between_parts_continues(sources, built, tmp_path):

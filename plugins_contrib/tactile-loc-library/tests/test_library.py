@@ -70,12 +70,6 @@ def test_parts_are_added_replaced_and_removed(library):
     assert Library.open(library.path).rows == less.rows
 
 
-def test_removing_an_added_part_gives_the_former_files(library, built):
-    library.add([rename(library.read("part-0"), "new")]).remove(["new"])
-    now, before = read_files(library.path), read_files(built)
-    assert {name: now[name] for name in before} == before
-
-
 def test_a_missing_part_and_a_record_of_another_grid_are_refused(library):
     with pytest.raises(LibraryError, match=r"no part 'part-9' in .*Did you mean"):
         library.remove(["part-9"])

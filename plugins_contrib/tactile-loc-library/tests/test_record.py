@@ -3,7 +3,6 @@
 import dataclasses
 import io
 import struct
-from dataclasses import fields, replace
 
 import numpy as np
 import pyarrow as pa
@@ -14,10 +13,9 @@ from tactile_loc.plugin import Progress
 
 from tactile_loc_library.descriptor import load_descriptor
 from tactile_loc_library.record import LibraryError, PartRecord, PlaceGrid, make_record, read_header
-from tactile_loc_library.table import PartRow, read_table, write_table
+from tactile_loc_library.table import read_table
 
 GRID = PlaceGrid("whole", {"directions": 100})
-ROW = PartRow(*("pin" if field.type == "str" else 1 if field.type == "int" else 0.5 for field in fields(PartRow)))
 ARRAYS = ("vertices_m", "faces", "placements", "patches", "vectors")
 
 
@@ -47,12 +45,6 @@ def test_a_packed_record_is_unpacked_as_it_was(record):
     noise = np.random.default_rng(0).integers(0, FAR + 1, record.patches.shape).astype(np.uint8)
     for one in (record, dataclasses.replace(record, patches=noise)):
         assert_equal(PartRecord.unpack(one.pack()), one)
-
-
-def test_equal_parts_give_equal_bytes(record, cylinder):
-    again = make_record(dataclasses.replace(cylinder, source="rod.stl"), GRID, "mm", "ab" * 32)
-    assert again.pack() == record.pack()
-    assert PartRecord.unpack(record.pack()).pack() == record.pack()
 
 
 def test_a_record_states_the_part(record, cylinder):
@@ -98,16 +90,6 @@ def test_a_damaged_stream_is_refused(record):
     packed[at : at + 50] = bytes(50)
     with pytest.raises(LibraryError, match=r"cylinder is damaged .*build it again"):
         PartRecord.unpack(bytes(packed))
-
-
-@pytest.mark.parametrize("rows", [[], [ROW], [ROW, replace(ROW, name="head"), ROW]])
-def test_a_table_is_read_back(rows):
-    assert read_table(write_table(rows)) == rows
-
-
-def test_equal_texts_take_memory_once():
-    first, *others = read_table(write_table([replace(ROW, name="x" * 1000)] * 9))
-    assert all(other.name is first.name for other in others)
 
 
 def test_records_and_tables_that_would_fill_the_memory_are_refused(record):

@@ -16,10 +16,10 @@ from tactile_loc.plugins.grids.whole import WholeGrid
 from tactile_loc_library import identification, similarity
 from tactile_loc_library import search as module
 from tactile_loc_library.building import build_library, list_meshes
-from tactile_loc_library.identification import LOCATED, choose_shortlists, find_candidates, identify_part
+from tactile_loc_library.identification import LOCATED, find_candidates, identify_part
 from tactile_loc_library.library import Library
 from tactile_loc_library.record import LibraryError, PlaceGrid
-from tactile_loc_library.search import PROPOSED, PartSearch, RoughFit, open_localizer
+from tactile_loc_library.search import PartSearch, RoughFit, open_localizer
 from tactile_loc_library.votes import Shortlist
 
 FEW = PlaceGrid("whole", {"directions": 300})
@@ -96,13 +96,6 @@ def test_only_the_part_with_the_best_rough_fit_is_located(search, touches):
     assert [one.name for one in said.objects] == [search.names[k] for k in candidates.order]
 
 
-def test_more_parts_are_examined_among_many_and_after_more_touches():
-    of_two, of_four, among_many = (choose_shortlists(*given) for given in ((2, 300), (4, 300), (2, 10_000)))
-    assert of_two == (identification.EXAMINED, identification.LOOKED_INTO)
-    assert [four.most_behind / two.most_behind for four, two in zip(of_four, of_two, strict=True)] == [2, 2]
-    assert [many.most for many in among_many] == [400, 200]
-
-
 def test_a_part_of_the_same_size_as_the_best_one_gets_a_rough_fit(open_search, search, touches, monkeypatch):
     for name in ("EXAMINED", "LOOKED_INTO"):
         monkeypatch.setattr(identification, name, ONE)
@@ -150,16 +143,6 @@ def test_noisy_touches_fit_their_own_part_best(search, name):
     assert min(rough) == rough[own]
     assert rough[own].misfit > 0
     assert 0.5 < rough[own].iou <= 1
-
-
-def test_votes_propose_poses_near_the_true_pose(search, touches):
-    for k, name in enumerate(search.names):
-        touch = touches[name][0]
-        (poses,) = search.examine(k, search.compare([touch])).poses
-        true = np.broadcast_to(touch.T_sensor_object, poses.shape)
-        assert len(poses) == PROPOSED
-        with search.use(k) as part:
-            assert PoseMetric(part.model.object).symmetric_distance(poses, true).min() < 4e-3
 
 
 def test_comparing_opens_no_part(open_search, touches, monkeypatch):

@@ -1,9 +1,6 @@
 """The encoder keeps every contract of its slot, and embeddings have the same distances as their maps."""
 
-import dataclasses
-
 import numpy as np
-import pytest
 from tactile_loc.plugin import SensorGeometry, registry
 from tactile_loc.testing import parametrize_with_checks, parametrize_with_properties
 
@@ -54,18 +51,6 @@ def test_distances_from_a_disc_equal_distances_to_its_rim():
     assert abs(np.mean(found - np.clip(20.3 - radius, -12, 12))) < 0.1
 
 
-def test_full_and_empty_masks_have_the_largest_distance():
-    masks = np.stack([np.ones((5, 6), bool), np.zeros((5, 6), bool)])
-    np.testing.assert_array_equal(signed_distances(masks, 0.1, 2.0), np.float32([2.0, -2.0])[:, None, None] * np.ones(
-        (5, 6), np.float32))  # fmt: skip
-    assert signed_distances(masks[:0], 0.1, 2.0).shape == (0, 5, 6)
-
-
-def test_masks_and_their_negatives_are_opposite():
-    mask = np.random.default_rng(0).random((3, 20, 30)) < 0.3
-    np.testing.assert_allclose(signed_distances(mask, 1.0, 4.0), -signed_distances(~mask, 1.0, 4.0))
-
-
 def test_waves_are_orthonormal():
     places = (np.arange(64) + 0.5) / 64
     waves = cosines(places, 20) * 64
@@ -88,19 +73,6 @@ def test_all_frequencies_keep_the_whole_distance():
     near = np.sum((few.encode(a, PRESS_M, small) - few.encode(b, PRESS_M, small)) ** 2)
     assert 0.8 * np.mean((maps[0] - maps[1]) ** 2) < near < 1.001 * np.mean((maps[0] - maps[1]) ** 2)
     assert encoder.encode(a, PRESS_M, small).shape == (1, int(low_frequencies(small, 23).sum()))
-
-
-@pytest.mark.parametrize("frequencies", [1, 6, 9, 12])
-def test_the_length_of_a_vector_is_the_number_of_waves(frequencies):
-    count = with_options(frequencies=frequencies).encode(pressed(5, 5, 5, 5), PRESS_M, SENSOR).shape[1]
-    assert count == sum(u * u + v * v < frequencies**2 for u in range(frequencies) for v in range(frequencies))
-
-
-def test_a_narrow_field_has_fewer_waves_across_its_width():
-    narrow = SensorGeometry("orthographic", 40, 80, 4000.0, 4000.0, 20.0, 40.0, 0.02, 0.002)
-    assert low_frequencies(narrow, 8).shape == (8, 4)
-    stretched = dataclasses.replace(SENSOR, fx=2000.0)  # the same pixels, twice the width in metres
-    assert low_frequencies(stretched, 8).shape == (4, 8)
 
 
 def test_the_distance_grows_with_displacement_of_disjoint_masks():

@@ -40,14 +40,6 @@ def test_serialised_images_are_read_and_photos_need_a_calibrated_sensor(locator,
     assert "not calibrated for images" in locator.locate(message).located.says
 
 
-def test_the_localizer_locates_a_simulated_touch(localizer, make_image):
-    touch = localizer.simulate(1, seed=2)[0]
-    located = ImageLocator(localizer, touch.press_depth_m).locate(make_image(touch.contact_shape.depth_m)).located
-    expected = localizer.localize(touch)
-    np.testing.assert_allclose(located.T_sensor_object[:3, 3], expected.best.T_sensor_object[:3, 3], atol=1e-3)
-    assert located.verdict is expected.verdict
-
-
 def test_a_touch_has_the_press_depth_and_the_sensor_pose(localizer, make_image, depth_m):
     touch = ImageLocator(localizer, press_depth_m=1e-3).read_touch(make_image(depth_m), T)
     assert touch.press_depth_m == 1e-3

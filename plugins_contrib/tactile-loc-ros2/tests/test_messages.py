@@ -53,14 +53,6 @@ def test_transforms_name_parent_and_child(maker, each_types):
     assert one.transform.rotation.w == pytest.approx(HALF)
 
 
-def test_plain_messages_keep_their_values(maker, each_types):
-    assert each_types.pass_on(maker.make_text("poor fit")).data == "poor fit"
-    assert each_types.pass_on(maker.make_flag(np.bool_(True))).data is True
-    assert each_types.pass_on(maker.make_number(np.float64(0.25))).data == 0.25
-    pose = each_types.pass_on(maker.make_pose(T, STAMP_NS, "base"))
-    assert (pose.header.frame_id, pose.pose.position.y) == ("base", 0.002)
-
-
 def located(verdict: Verdict | None = Verdict.AMBIGUOUS, count: int = 3, covariance=None) -> LocatedFrame:
     poses = np.stack([T] * count) if count else np.empty((0, 4, 4))
     shares = np.array([0.6, 0.3, 0.1, 0.0, 0.0, 0.0, 0.0][:count])

@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 from tactile_loc import TactileLocError, Verdict
 
-from tactile_loc_ros2.options import (
-    LISTS,
-    OPTIONS,
-    NodeOptions,
-    choose_sensor,
-    make_parser,
-    read_camera,
-    split_arguments,
-)
+from tactile_loc_ros2.options import NodeOptions, choose_sensor, make_parser, read_camera, split_arguments
 
 LEAST = {"object": "pin", "sensor": "gelslim", "image_topic": "/gel"}
 
@@ -22,12 +14,6 @@ LEAST = {"object": "pin", "sensor": "gelslim", "image_topic": "/gel"}
 def parse(*words: str) -> NodeOptions:
     given = vars(make_parser().parse_args(["--object", "pin", "--sensor", "gelslim", "--image-topic", "/gel", *words]))
     return NodeOptions.of(given)
-
-
-def test_each_option_has_a_default_and_a_description():
-    assert parse() == NodeOptions(**LEAST)
-    assert all(one.metadata["help"] for one in OPTIONS)
-    assert LISTS == ("library",)
 
 
 def test_the_command_line_sets_every_kind_of_option():

@@ -16,12 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tactile_loc import Localizer, Touch, localize_together
+from tactile_loc import Localizer
 from tactile_loc.plugin import SensorGeometry
-
-from tactile_loc_ros2.frames import NS
-from tactile_loc_ros2.messages import MessageMaker
-from tactile_loc_ros2.node import find_ros_type
 
 rclpy = pytest.importorskip("rclpy", reason="rclpy, which is part of ROS 2, is not installed")
 
@@ -187,63 +183,6 @@ def test_services_locate_touches_and_suggest_the_next(start, client, depth_m):
     assert client.got["/object/verdict"] == []
     process.send_signal(signal.SIGTERM)
     assert process.wait(ANSWER_S) == 0, process.stderr.read()
-
-
-def test_poses_and_slips_of_a_track_are_in_the_base_frame(start, client, depth_m):
-    frames = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs, which is part of ROS 2, is not installed")
-    from geometry_msgs.msg import TransformStamped
-
-    received = []
-    sender = client.node.create_publisher(frames.TFMessage, "/tf", 100)
-    client.node.create_subscription(frames.TFMessage, "/tf", received.append, 100)
-    stamps = iter(range(10, 10_000))
-
-    def send() -> None:
-        stamp_s = next(stamps)
-        moved = TransformStamped(child_frame_id="gel")
-        moved.header.frame_id, moved.header.stamp.sec = "base", stamp_s
-        moved.transform.translation.x = 1.0
-        sender.publish(frames.TFMessage(transforms=[moved]))
-        client.send_image(depth_m, stamp_s)
-
-    start("--image-topic", "/gel/image", "--track", "--base-frame", "base", "--tf", "any")
-    client.wait(lambda: client.got["/object/pose"], START_S, send)
-    pose = client.got["/object/pose"][0]
-    assert pose.header.frame_id == "base"
-    assert pose.pose.pose.position.x > 0.9
-    client.wait(lambda: client.got["/tactile_loc/slipped"])
-    assert client.got["/tactile_loc/slipped"][0].data is False
-
-    def sent() -> list[Any]:
-        return [one for message in received for one in message.transforms if one.child_frame_id == "object"]
-
-    client.wait(sent)
-    assert sent()[0].header.frame_id == "base"
-    assert sent()[0].transform.translation.x == pytest.approx(pose.pose.pose.position.x)
-
-
-def test_two_touches_are_located_together_in_the_base_frame(start, client, localizer):
-    frames = pytest.importorskip("tf2_msgs.msg", reason="tf2_msgs, which is part of ROS 2, is not installed")
-    maker = MessageMaker(find_ros_type)
-    sender = client.node.create_publisher(frames.TFMessage, "/tf", 100)
-    touches = localizer.simulate_together(2, seed=3)
-    start("--image-topic", "/gel/image", "--no-continuous", "--base-frame", "base")
-    client.wait(lambda: client.node.get_subscriptions_info_by_topic("/gel/image"), START_S)
-    for stamp_s, touch in enumerate(touches, 1):
-
-        def send(touch: Touch = touch, stamp_s: int = stamp_s) -> None:
-            sender.publish(maker.make_transforms({("base", "gel"): touch.T_base_sensor}, stamp_s * NS))
-            client.send_image(touch.contact_shape.depth_m, stamp_s)
-
-        client.wait(lambda: client.call("add_touch")["success"], again=send)
-    located = client.call("locate")
-    assert (located["frame"], located["touches"]) == ("base", 2)
-    expected = localize_together([(localizer, touch) for touch in touches]).best.T_base_object
-    np.testing.assert_allclose(np.array(located["T_frame_object"])[:3, 3], expected[:3, 3], atol=2e-3)
-    client.wait(lambda: client.got["/tactile_loc/located_pose"])
-    pose = client.got["/tactile_loc/located_pose"][0]
-    assert (pose.header.frame_id, pose.header.stamp.sec) == ("base", 2)
-    assert pose.pose.pose.position.y == located["T_frame_object"][1][3]
 
 
 @pytest.mark.parametrize(

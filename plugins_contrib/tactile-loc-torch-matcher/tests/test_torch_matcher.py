@@ -89,10 +89,6 @@ def test_an_unknown_device_is_refused():
         with_options(device="abacus")
 
 
-def test_the_device_is_not_part_of_the_description():
-    assert with_options(device="cpu", rows=9).describe() == TorchMatcher().describe()
-
-
 @cuda
 def test_a_gpu_gives_the_same_scores(problem):
     queries, weights, bank = problem

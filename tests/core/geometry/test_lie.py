@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.lie import (
-    adjoint,
-    exponential,
-    fill_one_adjoint,
-    fill_one_logarithm,
-    logarithm,
-    move_one,
-    multiply_one,
-)
+from tactile_loc.core.geometry.lie import adjoint, exponential, fill_one_logarithm, logarithm, move_one
 from tactile_loc.core.geometry.rigid import draw_rotations, invert, make_transform, transform_points
 
 
@@ -41,18 +33,6 @@ def test_the_adjoint_gives_the_same_motion_in_another_frame():
     here, there, x = rng.normal(size=3), rng.normal(size=3), 1e-6 * rng.normal(size=6)
     Ad = adjoint(T[:3, :3], there - transform_points(T, here)[0])
     np.testing.assert_allclose(T @ exponential(x, here) @ invert(T), exponential(Ad @ x, there), atol=1e-11)
-
-
-def test_a_product_of_transforms_equals_that_of_numpy(rng):
-    a, b, out = draw_pose(rng), draw_pose(rng), np.empty((4, 4))
-    multiply_one(a, b, out)
-    np.testing.assert_allclose(out, a @ b, atol=1e-14)
-
-
-def test_the_adjoint_equals_that_of_the_batches(rng):
-    T, lever, out = draw_pose(rng), rng.normal(size=3), np.empty((6, 6))
-    fill_one_adjoint(T, *lever, out)
-    np.testing.assert_allclose(out, adjoint(T[:3, :3], lever), atol=1e-14)
 
 
 @pytest.mark.parametrize("size", [0.3, 1e-9, 0.0])

@@ -16,7 +16,6 @@ from tactile_loc.core.geometry.rigid import (
     is_rigid,
     make_transform,
     make_translation,
-    quaternion_to_rotation,
     require_covariance,
     require_rigid,
     require_unit,
@@ -55,13 +54,6 @@ def test_transform_points_equals_the_homogeneous_product(transforms):
     expected = np.einsum("abij,pj->abpi", transforms, homogeneous)[..., :3]
     np.testing.assert_allclose(transform_points(transforms, points), expected, atol=1e-12)
     assert transform_points(transforms[0, 0], points).shape == (7, 3)
-
-
-def test_rotation_about_agrees_with_scipy_for_any_length_of_axis():
-    axis, angles = np.array([0.3, -2.0, 0.9]), np.array([[-3.0, 0.0], [0.4, 7.0]])
-    unit = axis / np.linalg.norm(axis)
-    expected = Rotation.from_rotvec(angles.reshape(-1, 1) * unit).as_matrix().reshape(2, 2, 3, 3)
-    np.testing.assert_allclose(rotation_about(axis, angles), expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 1e-4, 1.0, np.pi - 1e-7, np.pi])
@@ -113,18 +105,6 @@ def test_align_to_z_rotates_by_the_smallest_angle():
     np.testing.assert_array_equal(align_to_z(directions[5]), R[5])
 
 
-def test_quaternions_are_unit_and_give_back_the_rotation():
-    R = draw_rotations(50, np.random.default_rng(2)).reshape(5, 10, 3, 3)
-    q = rotation_to_quaternion(R)
-    assert q.shape == (5, 10, 4)
-    assert (q[..., 0] >= 0).all()
-    np.testing.assert_allclose(np.linalg.norm(q, axis=-1), 1.0)
-    np.testing.assert_allclose(quaternion_to_rotation(q), R, atol=1e-12)
-    np.testing.assert_allclose(
-        quaternion_to_rotation([0.5**0.5, 0, 0, 0.5**0.5]), rotation_about([0, 0, 1], np.pi / 2), atol=1e-15
-    )
-
-
 def test_random_rotations_are_uniform():
     R = draw_rotations(20_000, np.random.default_rng(3))
     assert is_rigid(make_transform(R, np.zeros(3)))
@@ -133,14 +113,6 @@ def test_random_rotations_are_uniform():
     # Haar measure: the angle's distribution function is (theta - sin theta) / pi.
     for theta in (0.5, 1.5, 2.5):
         assert (angle < theta).mean() == pytest.approx((theta - np.sin(theta)) / np.pi, abs=0.01)
-
-
-@pytest.mark.parametrize("turn", [0.0, 1.0, np.pi])
-def test_axis_and_angle_match_a_rotation_about_z(turn):
-    c, s = np.cos(turn), np.sin(turn)
-    angle_deg, axis = axis_angle(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
-    assert angle_deg == pytest.approx(np.degrees(turn))
-    assert np.abs(axis) == pytest.approx([0, 0, 1])
 
 
 def test_axis_and_angle_match_any_rotation_and_the_identity():
@@ -198,12 +170,6 @@ def test_a_rounded_quaternion_gets_the_length_one():
     for wrong in (2 * q, 0.99 * q, 0 * q, np.nan * q):
         with pytest.raises(TouchError, match=naming("the quaternion", "length")):
             require_unit(wrong, "the quaternion", TouchError)
-
-
-def test_a_rigid_transform_may_be_a_list_of_integers():
-    found = require_rigid(np.eye(4, dtype=int).tolist(), "the pose")
-    assert found.dtype == np.float64
-    np.testing.assert_array_equal(found, np.eye(4))
 
 
 NEGATIVE = np.diag([1.0, 1, 1, 1, 1, -1e-3])

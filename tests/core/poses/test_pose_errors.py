@@ -9,8 +9,6 @@ from tactile_loc import ObjectModel
 from tactile_loc.core.poses.pose_errors import PRECISION_M, compute_add_s, compute_adds, measure_pose_errors
 from tactile_loc.plugin.helpers import SymmetryGroup, make_transform, make_translation, rotation_about, transform_points
 
-SHIFT_M = np.array([0.003, -0.004, 0.012])
-LENGTH_M = 0.013
 SYMMETRIES = ["none", "z4", "x2*y2", "zinf", "zinf*x2", "axis(1,2,3)inf"]
 STEP_RAD = 2 * np.pi / 2000
 
@@ -39,13 +37,6 @@ def true_pose():
 @pytest.fixture(scope="module")
 def points_m(box):
     return box.mesh.sample(10_000, np.random.default_rng(0))
-
-
-def test_a_shift_moves_every_point_by_its_length(box, points_m, true_pose):
-    shifted = make_translation(SHIFT_M) @ true_pose
-    assert compute_adds(box, points_m, shifted[None], true_pose) == pytest.approx(LENGTH_M)
-    assert measure_pose_errors(box, shifted[None], true_pose) == pytest.approx(LENGTH_M)
-    assert compute_add_s(points_m, shifted[None], true_pose)[0] < LENGTH_M
 
 
 def test_the_pose_error_of_a_turned_box_is_the_chord_of_its_corners(box, true_pose, make_object):
@@ -108,16 +99,6 @@ def test_with_a_limit_errors_are_on_the_same_side_of_it(cylinder, true_pose, sym
     clear = np.abs(exact_m - limit_m) > 2 * PRECISION_M
     assert np.array_equal((quick_m <= limit_m)[clear], (exact_m <= limit_m)[clear])
     assert 0 < (exact_m <= limit_m).sum() < len(poses)
-
-
-def test_a_declared_symmetry_removes_the_error_of_an_equivalent_pose(make_box, true_pose):
-    for symmetry in ("none", "x2*y2"):
-        obj = make_box(0.030, 0.020, 0.012, symmetry=symmetry)
-        points_m = obj.mesh.sample(2000, np.random.default_rng(0))
-        turned = (true_pose @ turn([1, 0, 0], np.pi))[None]
-        errors = (compute_adds(obj, points_m, turned, true_pose)[0], measure_pose_errors(obj, turned, true_pose)[0])
-        assert all((error < 1e-9) == (symmetry != "none") for error in errors)
-        assert compute_add_s(points_m, turned, true_pose)[0] < 0.001  # ADD-S ignores it in either case
 
 
 def test_only_the_centre_of_a_sphere_counts(make_object, true_pose):

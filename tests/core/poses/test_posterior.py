@@ -143,12 +143,6 @@ def test_modes_are_ordered_by_their_mass_and_exclude_the_tail(box):
     assert sorted(find([0.0, 100, 200], [0.5, 0.0, 0.5])) == [0, 2], "excluded poses form no mode"
 
 
-def test_the_radius_decides_which_poses_form_a_mode(box):
-    posterior = PosePosterior(line(box, np.arange(8) * 1e-3), np.zeros(8))
-    assert len(posterior.modes(radius_m=1.1e-3, mass=1.0)) == 1
-    assert len(posterior.modes(radius_m=0.9e-3, mass=1.0)) == 8
-
-
 def test_mode_masses_sum_to_one_and_count_limits_the_modes(box):
     rng = np.random.default_rng(1)
     posterior = PosePosterior(line(box, rng.uniform(0, 0.5, 200)), rng.normal(size=200))
@@ -174,13 +168,6 @@ def test_equivalent_poses_form_one_mode(make_box, symmetry, count):
     modes = posterior.modes(radius_m=1e-3, mass=1.0)
     assert len(modes) == count
     assert sum(m.probability for m in modes) == pytest.approx(1.0)
-
-
-def test_poses_about_a_continuous_axis_form_one_mode(cylinder):
-    T = make_translation([0.01, 0, 0]) @ cylinder.symmetry.list_elements(0.3)[[0, 4, 9, 13, 25]]
-    posterior = PosePosterior(PoseGrid(T, PoseMetric(cylinder)), np.zeros(5))
-    (mode,) = posterior.modes(radius_m=1e-3)
-    assert len(mode.members) == 5
 
 
 @pytest.mark.parametrize(

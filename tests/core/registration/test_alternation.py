@@ -8,7 +8,6 @@ from press_helpers import moved, pressed, towards, views_of
 from tactile_loc import PoseMetric, SensorGeometry
 from tactile_loc.core.registration.alternation import ROUNDS, alternate
 from tactile_loc.plugin import Candidate, RefinedPose, Refiner
-from tactile_loc.plugin.helpers import invert
 from tactile_loc.plugins.refiners.icp import IcpRefiner
 from tactile_loc.plugins.refiners.joint import JointRefiner
 from tactile_loc.testing.problems import make_stepped_block
@@ -106,15 +105,6 @@ def test_an_edge_fills_in_what_a_face_leaves_open(make_box):
     alone, found = (refine(IcpRefiner(), plate, some, start) for some in ([face], [face, edge]))
     assert abs(alone.T_sensor_object - truth)[1, 3] > 3e-4
     assert measure(plate, found.T_sensor_object, truth) < 1.5e-4  # ICP finds a border to half a pixel
-
-
-def test_the_order_of_touches_changes_nothing(block, touches):
-    T = start_near(block, touches)
-    first = refine(IcpRefiner(), block, touches, T).T_sensor_object
-    others = [touches[k] for k in (2, 0, 1)]
-    T_other_first = invert(others[0].T_base_sensor) @ touches[0].T_base_sensor
-    found = refine(IcpRefiner(), block, others, T_other_first @ T).T_sensor_object
-    assert measure(block, invert(T_other_first) @ found, first) < 2e-5
 
 
 def test_a_pose_that_explains_the_touches_worse_is_not_taken(block, touches):

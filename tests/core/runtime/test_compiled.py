@@ -158,13 +158,3 @@ def test_overlapping_blocks_restore_the_threads():
     close.set()
     other.join()
     assert count_blas_threads() == {3}
-
-
-def test_an_error_restores_the_threads():
-    @use_one_blas_thread()
-    def fail():
-        raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    assert count_blas_threads() == {3}

@@ -55,13 +55,6 @@ def test_the_cloud_of_a_ball_has_points_and_normals_of_the_ball(camera, make_obj
     assert (normals[:, 2] < 0).all()
 
 
-def test_the_shallow_rim_of_a_ball_has_no_walls(camera, make_object):
-    ball = make_object(trimesh.creation.icosphere(6, RADIUS_M)).mesh
-    T = make_translation([0, 0, camera.standoff_m + RADIUS_M])[None]
-    shape = ContactShape(compute_contact_depth(ZBufferRenderer().render(ball, T, camera), camera, 0.0005)[0], 0.0005)
-    assert len(make_contact_cloud(shape, camera)[0]) == shape.contact.sum()
-
-
 def walls_of(shape: ContactShape, camera: SensorGeometry) -> tuple[np.ndarray, np.ndarray]:
     """Return the points (P, 3) and normals (P, 3) that walls add to those of the surface."""
     flat, _ = make_contact_cloud(shape, camera, walls=False)
@@ -130,14 +123,6 @@ def test_an_outline_faces_down_the_slope_of_the_smoothed_mask(camera):
     _, normals = walls_of(shape, camera)
     levels = len(normals) // len(outwards)
     np.testing.assert_allclose(normals[:, :2], np.repeat(outwards, levels, axis=0), atol=1e-12)
-
-
-def test_a_line_one_pixel_wide_has_walls_on_both_sides(camera):
-    depth = np.full(camera.shape, 0.002, np.float32)
-    depth[20:50, 40] = 0.0
-    _, normals = walls_of(ContactShape(depth, 0.002), camera)
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
-    assert (normals[:, 0] > 0.9).sum() == (normals[:, 0] < -0.9).sum() > 100
 
 
 def test_a_square_in_the_corner_has_no_walls_at_the_sensor_border(camera):

@@ -69,19 +69,6 @@ def test_all_kinds_of_one_map_give_the_same_touch(geometry: SensorGeometry, unit
         np.testing.assert_array_equal(touch.contact_shape.contact, depth_m < PRESS_M * (1 - 1e-6))
 
 
-def test_a_sensor_model_or_its_geometry_may_be_given() -> None:
-    sensor = Digit()
-    maps = [
-        Touch.from_depth(
-            -press_ball(sensor.geometry) + PRESS_M, kind="indentation", sensor=given, name="a", T_base_sensor=np.eye(4)
-        )
-        for given in (sensor, sensor.geometry)
-    ]
-    np.testing.assert_array_equal(maps[0].contact_shape.depth_m, maps[1].contact_shape.depth_m)
-    assert maps[0].name == "a"
-    np.testing.assert_array_equal(maps[0].T_base_sensor, np.eye(4))
-
-
 @pytest.mark.parametrize("kind", ["indentation", "height"])
 def test_nan_and_noise_around_zero_are_no_contact(kind: DepthKind) -> None:
     indentation = PRESS_M - press_ball(FLAT)
@@ -135,11 +122,6 @@ def test_bad_maps_are_refused(values: NDArray, words: dict[str, Any], wrong: tup
     with pytest.raises(TouchError, match=naming(*wrong)) as caught:
         Touch.from_depth(values, sensor=FLAT, **words)
     assert "--" not in str(caught.value)
-
-
-def test_a_map_without_contact_is_no_contact() -> None:
-    with pytest.raises(NoContactError):
-        Touch.from_depth(np.full(FLAT.shape, np.nan), kind="height", sensor=FLAT)
 
 
 @pytest.mark.parametrize("press_depth_m", [None, PRESS_M])

@@ -158,15 +158,6 @@ def test_smoothing_turns_a_step_into_the_error_function(px, across):
     assert profile == pytest.approx(PRESS_M * ndtr(x_m / 7e-4), abs=1e-4 * PRESS_M)
 
 
-def test_smoothing_does_not_change_flat_or_distant_parts():
-    smoothing = TouchNoise(smoothing_m=5e-4)
-    assert corrupted(smoothing, deep(1), sensor()) == pytest.approx(0.0, abs=1e-8)
-    assert np.array_equal(corrupted(smoothing, empty(1), sensor()), empty(1))
-    dot = empty(1)
-    dot[0, 40, 40] = 0.0
-    assert corrupted(smoothing, dot, sensor())[0, 40, 46] == np.float32(PRESS_M)  # 3 mm, six deviations away
-
-
 def test_noise_does_not_cross_the_sensing_rectangle():
     """Pixels outside the rectangle get no noise and do not affect others; a mask only hides pixels."""
     rectangle = (-0.01, 0.012, -0.015, 0.01)

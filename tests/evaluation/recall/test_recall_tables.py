@@ -11,7 +11,6 @@ from report_helpers import make_recall_runs
 from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.evaluation.recall import tables
 from tactile_loc.evaluation.recall.bop import COLUMNS, OURS, format_results, make_scenes, make_truth, write_bop
-from tactile_loc.evaluation.summary import VERDICTS, ExampleSummary
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
 
 ABOUT = {"examples": 12, "noises": ["none", "strong"], "seeds": [5], "images": False}
@@ -34,17 +33,6 @@ def test_groups_join_seeds_and_then_all_objects(runs):
     noises = (("none", 36), ("strong", 24))
     assert labels[-4:] == [("all", noise, touches, count) for noise, count in noises for touches in (1, 3)]
     assert {name for name, *_ in tables.group_answers(join_runs(runs[:2]))} == {"pin"}
-
-
-def test_tables_show_the_summary(table):
-    rows = tables.summarise_answers(table)
-    s = ExampleSummary.of(table.group(*tables.GROUP)["pin", "pixel", "none", 1])
-    row = dict(zip(*tables.tabulate_recall(rows)[:2], strict=True))
-    assert row["1 mm"] == f"{100 * s.within[1]:.0f} % ({100 * s.listed_within[1]:.0f} %)"
-    assert row["AUC"] == f"{100 * s.auc:.0f} % ({100 * s.listed_auc:.0f} %)"
-    row = dict(zip(*tables.tabulate_verdicts(rows)[:2], strict=True))
-    assert [int(row[verdict]) for verdict in VERDICTS] == list(s.verdicts.values())
-    assert row["certain: right"].startswith(f"{100 * (s.certain_right or 0):.0f} %")
 
 
 def test_the_csv_has_a_row_for_each_group(runs, table, tmp_path):

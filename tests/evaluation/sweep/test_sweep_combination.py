@@ -125,10 +125,3 @@ def test_the_planned_keys_equal_the_built_keys(tmp_path, tiny, encoder, temperat
     assert others <= {str(key) for key in planned}
     assert not (tmp_path / "empty").exists() or StageStore(tmp_path / "empty").entries() == []
     assert find_missing_stages(combinations, objects, tmp_path) == dict.fromkeys(STAGES, 0)
-
-
-def test_shared_stages_count_once(tmp_path, tiny):
-    values = {**tiny, "object": ["pin", "head"], "renderer": ["zbuffer", "heightmap"], "refiner": ["none", "joint"]}
-    combinations, objects = combine(Plan.from_values({**values, "temperature": 0.1}))
-    expected = {"grid": 2, "shapes": 4, "encoder": 0, "bank": 4, "temperature": 0, "evaluation": 8}
-    assert find_missing_stages(combinations, objects, tmp_path) == expected

@@ -39,24 +39,11 @@ def test_values_may_be_single_or_lists_and_duplicates_and_default_values_are_rem
     assert len(Plan.from_values({"encoder": ["pixel", {"name": "pixel", "cells": 20}]}).slots["encoder"]) == 1
 
 
-def test_a_component_may_have_options():
-    plan = Plan.from_values({"refiner": ["none", {"name": "icp", "max_iterations": 7}, "icp"]})
-    assert names(plan, "refiner") == ["none", "icp", "icp"]
-    assert [one.options.get("max_iterations") for one in plan.slots["refiner"]] == [None, 7, 20]
-
-
 def test_an_option_applies_to_the_components_that_have_it():
     plan = Plan.from_values({"refiner": ["none", "icp", "render"], "option": ["refiner.moving_points=100,200"]})
     found = [(one.name, one.options.get("moving_points")) for one in plan.slots["refiner"]]
     has = "moving_points" in plan.slots["refiner"][-1].options
     assert found == [("none", None), ("icp", 100), ("icp", 200)] + ([] if has else [("render", None)])
-
-
-def test_options_of_several_slots_multiply():
-    plan = Plan.from_values({"option": ["grid.spacing_mm=3,4,5", "grid.min_contact_percent=1,2", "encoder.cells=9"]})
-    assert len(plan.slots["grid"]) == 6
-    assert {one.options["spacing_mm"] for one in plan.slots["grid"]} == {3.0, 4.0, 5.0}
-    assert [one.options["cells"] for one in plan.slots["encoder"]] == [9]
 
 
 def test_a_plan_file_has_a_table_of_options(tmp_path):

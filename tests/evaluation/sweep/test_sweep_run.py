@@ -13,11 +13,10 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc import Localizer, Plan, StageStore, load_object, write_sweep
-from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
+from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.evaluation.jobs import FinishedJobs, JobOutcome, do_job
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.sweep.combination import choose_touches
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, run_sweep
 from tactile_loc.evaluation.sweep.tables import format_summary, read_sweep
 from tactile_loc.evaluation.workers import ClusterError, DaskWorkers, LocalWorkers
@@ -184,12 +183,6 @@ def test_a_sweep_writes_its_tables_and_figures(swept, folder):
         assert path.read_bytes().startswith(b"\x89PNG")
 
 
-def test_an_unwritable_folder_is_refused_before_the_run(plan, tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match=naming(tmp_path / "file", "`out`")):
-        run_sweep(plan, tmp_path / "file", tmp_path, Nobody())
-
-
 @pytest.mark.parametrize("where", ["nowhere", "tcp://127.0.0.1:1"])
 def test_a_missing_cluster_gives_an_error(plan, tmp_path, where, monkeypatch):
     monkeypatch.setattr("tactile_loc.evaluation.workers.CONNECT_S", 1)
@@ -235,16 +228,6 @@ def test_a_renderer_changes_neither_the_grid_nor_the_random_poses_nor_the_touche
     for row in others:
         assert {name: row[name] for name in shared} == {name: first[name] for name in shared}
     assert renderers.find_changed() == {}
-
-
-def test_the_touches_of_all_renderers_have_the_same_pixels(renderers, tmp_path):
-    drawn = []
-    for one in renderers.combinations:
-        localizer = Localizer(one.config, load_object("elbow_pipe"), StageStore(tmp_path))
-        drawn.append(choose_touches(one.config).draw_touch(localizer, 0))
-    for touch in drawn[1:]:
-        np.testing.assert_array_equal(touch.contact_shape.depth_m, drawn[0].contact_shape.depth_m)
-        np.testing.assert_array_equal(touch.T_sensor_object, drawn[0].T_sensor_object)
 
 
 def test_another_spacing_changes_the_grid_and_another_sensor_the_touches_too(tiny, folder):

@@ -182,12 +182,6 @@ def test_the_long_table_has_a_row_for_each_touch_and_line(planted, tmp_path):
     assert [int(row["refused"]) for row in own[:TOUCHES]] == [int(row["touch"]) for row in own[:TOUCHES]]
 
 
-def test_a_sweep_without_variation_names_its_components(made_up):
-    assert "| pixel + joint | **1.00** |" in format_summary(
-        made_up({"object": "pin", "count": 5}, lambda one: {"chosen_median_mm": 1.0}), "chosen"
-    )
-
-
 @pytest.mark.parametrize("rows", [[], [{}], [{"configuration": {}}], 3, [[]], ["\ud800"]])
 def test_an_invalid_sweep_file_is_refused(tmp_path, rows):
     (tmp_path / "sweep.json").write_text(json.dumps({"rows": rows, "versions": {}}))

@@ -68,11 +68,6 @@ def test_a_first_pose_that_is_less_probable_than_a_share_is_as_probable_as_the_o
     assert p == pytest.approx(np.full(3, 0.8 / 3))
 
 
-def test_equal_weights_stay_equal():
-    p, _ = share_outcome(np.full(4, 0.2), np.array([True, False, False, False]), Outcome(0.8, 0.1, 0.1))
-    assert p == pytest.approx(np.full(4, 0.9 / 4))
-
-
 def test_weights_of_zero_and_one_pose_have_shares():
     p, missed = share_outcome(np.array([1.0, 0.0, 0.0]), np.array([True, False, False]), Outcome(0.6, 0.3, 0.1))
     assert np.isfinite(p).all()

@@ -144,17 +144,6 @@ def test_several_touches_average_the_errors_of_their_sensors_poses(localizer):
     assert off_m < 4e-4
 
 
-def test_the_files_have_the_poses_and_covariances(localizer):
-    touch, _ = seen_from_base(localizer, 2)
-    found = localizer.localize(touch)
-    document, best = found.to_json()["hypotheses"][0], found.best
-    for key in ("T_base_object", "base_quaternion_xyzw", "base_covariance", "quaternion_xyzw", "covariance"):
-        np.testing.assert_array_equal(document[key], getattr(best, key))
-    np.testing.assert_allclose(
-        Rotation.from_quat(document["base_quaternion_xyzw"]).as_matrix(), best.T_base_object[:3, :3], atol=1e-9
-    )
-
-
 def test_the_next_touch_starts_from_the_pose_in_the_base_frame(localizer):
     touch, _ = seen_from_base(localizer, 2)
     found = localizer.localize(touch)

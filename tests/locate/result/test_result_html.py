@@ -7,7 +7,6 @@ import re
 from io import BytesIO
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from tactile_loc import Touch, localize_together
@@ -69,12 +68,6 @@ def test_every_touch_has_a_column_of_pictures(localizer):
 def test_names_cannot_contain_html(localization):
     touch = dataclasses.replace(localization.touch, name="<b>bold</b>")
     assert "<b>" not in dataclasses.replace(localization, touch=touch)._repr_html_()
-
-
-@pytest.mark.parametrize("count", [1, MOST_ROWS])
-def test_nothing_is_left_out_of_a_short_result(localization, count):
-    short = dataclasses.replace(localization, hypotheses=localization.hypotheses[:count])
-    assert "not shown" not in short._repr_html_()
 
 
 def test_a_result_made_by_hand_has_no_pictures(localization):

@@ -166,10 +166,6 @@ def agree(*best_ious, outliers=(), contradictory=False):
     return {"agreement": Agreement(best_ious, outliers, contradictory)}
 
 
-def test_a_result_without_poor_touches_causes_no_doubt(localization):
-    assert list_doubts(localization) == doubt(localization, press_m=1e-3) == []
-
-
 @pytest.mark.parametrize(
     ("ious", "poor", "changes", "cause"),
     [

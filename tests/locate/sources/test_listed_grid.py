@@ -149,19 +149,6 @@ def test_a_grid_without_remaining_poses_is_refused(make_pin_scene, own_store):
         build(make_pin_scene(), FaceGrid(FaceGrid.Options(spacing_mm=8.0, min_contact_percent=95.0)), own_store)
 
 
-def test_a_second_build_renders_nothing(make_pin_scene, sampler, own_store):
-    scene = make_pin_scene()
-    first = build(scene, sampler, own_store)
-    renders = len(scene.renderer.calls)
-    again = StageStore(own_store.root)
-    second = build(make_pin_scene(renderer := Counting()), sampler, again)
-    assert stages(own_store) == ["grid", "shapes"]
-    assert stages(again) == []
-    assert renders > 0
-    assert renderer.calls == []
-    assert np.array_equal(first.grid.T_sensor_object, second.grid.T_sensor_object)
-
-
 def test_a_change_rebuilds_only_the_stages_that_depend_on_it(make_pin_scene, sampler, own_store):
     def built(
         scene: Scene, sampler: FaceGrid = sampler, encoder: PixelEncoder | None = None, press_m: float = 0.002
@@ -212,15 +199,6 @@ def test_an_interrupted_build_resumes_where_it_stopped(make_pin_scene, sampler, 
     assert np.array_equal(np.concatenate(list(resumed.shapes.shards())), np.concatenate(list(whole.shapes.shards())))
     assert resumed.shapes.artifact.names == whole.shapes.artifact.names
     assert all(resumed.shapes.artifact.files[n] == whole.shapes.artifact.files[n] for n in whole.shapes.artifact.names)
-
-
-def test_a_bank_has_one_row_per_pose_in_the_order_of_the_grid(make_pin_scene, sampler, own_store):
-    scene = make_pin_scene().press(0.002)
-    model = build(scene, sampler, own_store)
-    bank = build_bank(model, scene, PixelEncoder(), 0.001, own_store, Progress())
-    pressed = scene.press(0.001)  # at half the depth, the contact is slightly smaller in a pinhole camera
-    rendered = pressed.render_contact_depths(model.grid.raise_level(0.001).T_sensor_object)
-    np.testing.assert_allclose(bank, PixelEncoder().encode(rendered, 0.001, pressed.geometry), atol=1e-6)
 
 
 def test_progress_reports_every_pose(make_pin_scene, sampler, own_store):

@@ -209,14 +209,6 @@ def test_two_touches_that_two_poses_explain_are_ambiguous(store):
     assert errors_mm.max() > 10
 
 
-def test_the_search_finds_the_common_pose_of_several_touches(localizer, examples):
-    nearest = [
-        measure_errors_mm(localizer, together(localizer, some)[0].grid.T_sensor_object, some[0]).min()
-        for some in examples
-    ]
-    assert np.mean(np.array(nearest) < 1.0) >= 0.85
-
-
 def test_touches_that_no_pose_explains_together_are_never_certain(localizer, examples):
     placed = [touch.T_base_sensor for touch in examples[0]]
     moved = [dataclasses.replace(examples[k][k], T_base_sensor=T) for k, T in enumerate(placed)]
@@ -283,14 +275,6 @@ def test_faiss_finds_the_rotated_places_that_dense_finds(localizer, search, exam
         missed = len(exact[1]) - len(common(exact[0], found[0]))
         assert missed <= (2 if not options else 30)  # of 1000; places with equal scores may be exchanged
         assert found[1].max() == pytest.approx(exact[1].max(), abs=1e-5)
-
-
-def test_faiss_locates_the_touches_that_dense_locates(localizer, examples):
-    pytest.importorskip("faiss")
-    other = Localizer(with_faiss(localizer.config), localizer.object, localizer.store)
-    for touch in examples[1][:2]:
-        exact, found = (one.localize(touch).best.T_sensor_object for one in (localizer, other))
-        assert found == pytest.approx(exact, abs=1e-6)
 
 
 def test_a_top_k_matcher_proposes_only_the_poses_that_it_scores(localizer, examples):

@@ -72,11 +72,6 @@ def test_equivalent_directions_are_searched_once():
     assert nearest_deg.max() < 4.0  # every direction has an equivalent among the kept ones
 
 
-def test_the_directions_of_a_sphere_are_searched_once(ball):
-    sphere = of(ball.mesh, symmetry=SymmetryGroup.parse("sphere", np.zeros(3)))
-    assert len(find_distinct_directions(make_sphere(4000), sphere, STEP_RAD)) < 4000 / 50
-
-
 def test_the_whole_grid_refuses_to_list_poses():
     with pytest.raises(ConfigError, match="`grid` face"):
         WholeGrid().sample(make_block(), CAMERAS["orthographic"], 0.003)

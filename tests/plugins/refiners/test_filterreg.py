@@ -96,12 +96,6 @@ def test_the_registration_is_robust_to_outliers():
     assert errors[0] < 0.5 * errors[1]
 
 
-def test_a_shift_along_the_surface_is_undone():
-    T = make_translation([0.8, 0.0, 0.0])
-    found = FilterRegRefiner(Options(iterations=6)).register(moved(bowl(600, seed=1), T), bowl(3000))
-    assert np.abs((found.T_mm @ T)[:3, 3]).max() < 0.1
-
-
 def test_clouds_out_of_reach_are_not_registered():
     found = FilterRegRefiner().register(moved(bowl(), make_translation([0, 0, 50.0])), bowl())
     assert (found.T_mm, found.converged, found.iterations) == (None, False, 1)

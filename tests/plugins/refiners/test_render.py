@@ -96,13 +96,6 @@ def test_a_refined_pose_never_explains_the_touch_worse_than_the_candidate(refine
     assert (after > before + 0.05).any()
 
 
-def test_the_z_of_the_candidate_does_not_matter(refiner, problem):
-    candidate = tilted(problem)
-    lifted = Candidate(make_translation([0.0, 0.0, 0.003]) @ candidate.T_sensor_object, 0, 0.0)
-    a, b = (refiner.refine(problem.touch, c, problem.scene).T_sensor_object for c in (candidate, lifted))
-    np.testing.assert_allclose(a, b, atol=1e-9)
-
-
 def test_the_noise_correlation_limits_the_motion_for_noisy_touches_only(problem):
     """A larger correlation length of the noise reduces the motion for a noisy touch, but not for a clean one."""
     rng = np.random.default_rng(5)

@@ -71,16 +71,6 @@ def test_a_failure_during_rendering_is_a_render_error(camera, sphere, pressed, m
         new_pyrender().render(sphere, pressed, camera)
 
 
-def test_closing_one_renderer_does_not_affect_the_others(camera, sphere, pressed, new_pyrender):
-    one, other = new_pyrender(), new_pyrender()
-    expected = one.render(sphere, pressed, camera)
-    other.render(sphere, pressed, camera)
-    other.close()
-    np.testing.assert_array_equal(one.render(sphere, pressed, camera), expected)
-    del other
-    np.testing.assert_array_equal(one.render(sphere, pressed, camera), expected)
-
-
 def test_garbage_collection_of_a_renderer_does_not_affect_another(camera, sphere, pressed, new_pyrender):
     """The garbage collector may close a renderer at the worst moment, in the middle of a picture."""
     drawing, unused = new_pyrender(), new_pyrender()

@@ -77,17 +77,6 @@ def test_impossible_options_are_refused_at_once(sensor: Preset, options: dict, n
 
 
 @ALL
-def test_depth_images_are_accepted_as_contact_shapes(sensor: Preset) -> None:
-    max_depth_m = sensor.geometry.max_depth_m
-    depth = np.full(sensor.geometry.shape, np.nan)
-    depth[10:30, 10:40] = np.linspace(0, 0.6 * max_depth_m, 30)
-    shape = sensor.contact_shape(depth)
-    np.testing.assert_array_equal(shape.contact, np.isfinite(depth))
-    np.testing.assert_allclose(shape.depth_m[10:30, 10:40], depth[10:30, 10:40], rtol=1e-6)
-    assert shape.press_depth_m == pytest.approx(0.6 * max_depth_m, rel=1e-3)
-
-
-@ALL
 def test_images_are_refused(sensor: Preset) -> None:
     for shape in ((*sensor.geometry.shape, 3), sensor.geometry.shape):
         with pytest.raises(TouchError, match="`sensor`"):

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from tactile_loc.plugin import TouchError
 from tactile_loc.plugin.helpers import invert, make_transform, make_translation, rotation_about, transform_points
 
-from tactile_loc_benchmark.methods.pixel_matching import measure_differences, stand_on_points
+from tactile_loc_benchmark.methods.pixel_matching import measure_differences
 from tactile_loc_benchmark.methods.surface_fit import FitOptions, SurfaceFit, shrink
-from tactile_loc_benchmark.methods.touched_points import TouchedPoints, find_deepest_point, spread_indices
+from tactile_loc_benchmark.methods.touched_points import TouchedPoints, find_deepest_point
 from tactile_loc_benchmark.methods.transform_consensus import PairTable
 
 REACH_M = shrink(2e-3, 5e-4, 20)
@@ -71,11 +70,6 @@ def test_the_score_is_one_at_the_truth_and_none_far_away(fit, points, truth):
     assert scores[1] == 0
 
 
-def test_no_pose_is_found_far_away(fit, points, truth):
-    with pytest.raises(TouchError):
-        fit.find_best((make_translation([0.3, 0, 0]) @ truth)[None], points)
-
-
 def test_the_best_poses_come_first_and_are_apart(fit, points, truth, example):
     rng = np.random.default_rng(0)
     some = np.stack([truth @ make_translation(rng.normal(0, 3e-3, 3)) for _ in range(20)])
@@ -83,23 +77,6 @@ def test_the_best_poses_come_first_and_are_apart(fit, points, truth, example):
     assert (np.diff(answer.scores) <= 0).all()
     apart_m = np.linalg.norm(answer.T_base_object[1:, :3, 3] - answer.T_base_object[0, :3, 3], axis=1)
     assert len(apart_m) == 0 or apart_m.min() > 1e-4
-
-
-def test_indices_are_spread_evenly():
-    assert spread_indices(10, 4).tolist() == [0, 3, 6, 9]
-    assert spread_indices(3, 10).tolist() == [0, 1, 2]
-
-
-def test_lengths_shrink_by_equal_factors():
-    np.testing.assert_allclose(shrink(8.0, 1.0, 4), [8, 4, 2, 1])
-
-
-def test_objects_stand_on_their_lowest_point(example):
-    T = stand_on_points(example.object, 50)
-    lowest = transform_points(T, example.object.mesh.corners_m)[..., 2].min(axis=1)
-    np.testing.assert_allclose(lowest, 0.0, atol=1e-12)
-    down = T[:, 2, :3]
-    assert np.linalg.norm(down.mean(axis=0)) < 0.05  # directions are balanced over the sphere
 
 
 def test_differences_are_sums_over_observed_pixels():
