@@ -309,12 +309,12 @@ def service(workplace: Path) -> Iterator[tuple[str, Localizer]]:
 def test_the_server_locates_touches_and_explains_errors(service, workplace):
     address, localizer = service
     write_touch(workplace / "touch.npz", touch := localizer.simulate(seed=3)[0])
-    with urllib.request.urlopen(address, (workplace / "touch.npz").read_bytes(), timeout=60) as response:
+    with urllib.request.urlopen(address, (workplace / "touch.npz").read_bytes(), timeout=600) as response:
         answer = json.load(response)
     best = localizer.localize(touch).best
     np.testing.assert_allclose(answer["hypotheses"][0]["pose"], best.T_sensor_object, atol=1e-6)
     with pytest.raises(urllib.error.HTTPError) as refused:
-        urllib.request.urlopen(address, b"no touch", timeout=60)
+        urllib.request.urlopen(address, b"no touch", timeout=600)
     assert refused.value.code == 400
     assert json.load(refused.value)["error"]
 
@@ -323,7 +323,7 @@ def test_the_server_locates_touches_and_explains_errors(service, workplace):
 def test_the_processes_find_the_poses(workplace):
     processes = find_blocks(read_page("programs.md"), "python")[1]
     (workplace / "program.py").write_text(processes + "    print(len(poses), *poses[7].ravel())\n")
-    done = subprocess.run([sys.executable, "program.py"], capture_output=True, text=True, timeout=300, check=True)
+    done = subprocess.run([sys.executable, "program.py"], capture_output=True, text=True, timeout=600, check=True)
     count, *pose = map(float, done.stdout.split())
     localizer = Localizer.create("part.stl", units="mm")
     expected = localizer.localize(localizer.simulate(20)[7]).best.T_sensor_object

@@ -23,7 +23,7 @@ UPGRADE = {
 
 def ask(port: int, path: str = "/", **headers: str) -> tuple[int, str, Any]:
     """Return the status, the text and the headers of an answer."""
-    connection = HTTPConnection("127.0.0.1", port, timeout=30)
+    connection = HTTPConnection("127.0.0.1", port, timeout=120)
     connection.putrequest("GET", path, skip_host="Host" in headers)
     for name, value in headers.items():
         connection.putheader(name, value)
@@ -67,7 +67,7 @@ def idle_sockets(port: int, count: int) -> Iterator[list[socket.socket]]:
     opened: list[socket.socket] = []
     try:
         for _ in range(count):
-            opened.append(socket.create_connection(("127.0.0.1", port), timeout=30))
+            opened.append(socket.create_connection(("127.0.0.1", port), timeout=120))
         yield opened
     finally:
         for one in opened:

@@ -50,7 +50,7 @@ def run(site: Path, line: list[str], **environment: str) -> subprocess.Completed
     variables = {k: v for k, v in os.environ.items() if k != "TACTILE_LOC_PLUGINS"}
     variables["PYTHONPATH"] = os.pathsep.join(filter(None, [str(site), variables.get("PYTHONPATH")]))
     return subprocess.run(
-        line, cwd=site, env=variables | environment, capture_output=True, text=True, check=False, timeout=300
+        line, cwd=site, env=variables | environment, capture_output=True, text=True, check=False, timeout=600
     )
 
 

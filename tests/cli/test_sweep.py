@@ -149,12 +149,12 @@ def finished(out: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in out.glob("rows/[!.]*.json")}
 
 
-EIGHT = ["sweep", "sweep.toml", "--encoder", "pixel", "-o", "encoder.cells=9,12"]
+SIXTEEN = ["sweep", "sweep.toml", "--encoder", "pixel", "-o", "encoder.cells=9,10,11,12"]
 
 
 def start(tmp_path: Path, store: Path) -> subprocess.Popen[str]:
     """Start a sweep that reacts to Ctrl-C as in a terminal."""
-    line = command(*EIGHT, "--workers", "2")
+    line = command(*SIXTEEN, "--workers", "2")
     return start_process(line, tmp_path, store, start_new_session=True)
 
 
@@ -182,16 +182,16 @@ def test_an_interrupted_sweep_ends_its_workers_and_is_resumed(cli, plan, tmp_pat
     os.killpg(process.pid, signal.SIGINT)  # the whole group, as a terminal does
     _, stderr = process.communicate(timeout=HANGING_S)
     assert process.returncode == 130, stderr
-    assert re.fullmatch(r"(note: sweep: \d of 8 .*\n)*interrupted\b.*\n", stderr)  # notes if it takes long
+    assert re.fullmatch(r"(note: sweep: \d+ of 16 .*\n)*interrupted\b.*\n", stderr)  # notes if it takes long
     assert len(workers) == 2
     assert not [pid for pid in workers if _runs(pid)]
     before = finished(out)
-    assert 2 <= len(before) < 8
+    assert 2 <= len(before) < 16
     assert not (out / "sweep.csv").exists()
-    resumed = succeed(cli(*EIGHT, "--workers", 1, "--store", tmp_path / "store", "--json"))
+    resumed = succeed(cli(*SIXTEEN, "--workers", 1, "--store", tmp_path / "store", "--json"))
     report = json.loads(resumed.stdout)
     # A worker may have stored an evaluation and ended before it wrote the row.
-    assert (report["combinations"], report["evaluated"] + report["stored"]) == (8, 8 - len(before))
+    assert (report["combinations"], report["evaluated"] + report["stored"]) == (16, 16 - len(before))
     assert report["stored"] <= len(workers)
     assert {name: time_ns for name, time_ns in finished(out).items() if name in before} == before
 

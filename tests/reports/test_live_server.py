@@ -25,7 +25,7 @@ from tactile_loc.tracking.live import LiveResult
 
 def ask(server: LiveServer, path: str, host: str | None = None, **others: str) -> HTTPResponse:
     port = int(server.url.rstrip("/").rpartition(":")[2])
-    connection = HTTPConnection("127.0.0.1", port, timeout=30)
+    connection = HTTPConnection("127.0.0.1", port, timeout=120)
     connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}", **others})
     return connection.getresponse()
 
@@ -106,7 +106,7 @@ def test_too_many_tabs_get_a_message(monkeypatch):
 
 
 def test_connections_without_a_complete_request_end(monkeypatch):
-    monkeypatch.setattr(live_server, "REQUEST_S", 0.3)
+    monkeypatch.setattr(live_server, "REQUEST_S", 1.0)
     with LiveServer("page", 0) as server, idle_sockets(server._server.server_port, 3) as idle:
         watching = ask(server, "/events")
         idle[0].sendall(b"GET / HTTP/1.0\r\n")

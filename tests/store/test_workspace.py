@@ -163,7 +163,7 @@ StageStore(Path(sys.argv[1])).build(KEY, Killed())
 
 def test_a_killed_build_is_resumed(store, tmp_path):
     process = run_python(KILLED, store.root, Path(__file__).parent)
-    process.communicate(timeout=60)
+    process.communicate(timeout=600)
     assert process.returncode == -signal.SIGKILL
     assert store.get(KEY) is None
     five = Five()

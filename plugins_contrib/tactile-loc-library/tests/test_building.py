@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 from library_helpers import FEW, NAMES, flip, read_files
@@ -159,8 +158,19 @@ def test_a_build_that_was_interrupted_between_parts_continues(sources, built, tm
 
 
 BUILD = """
-import sys
+import os, signal, sys
 from tactile_loc_cli.main import app
+
+records = []
+
+def kill_at_the_third(event, arguments):
+    if event == "os.rename" and sys.argv[4] in str(arguments[1]):
+        records.append(arguments[1])
+        if len(records) == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+if sys.argv[3] == "killed":
+    sys.addaudithook(kill_at_the_third)
 app(["library", "build", sys.argv[1], "--out", sys.argv[2], "--units", "mm", "--symmetry", "none",
      "--directions", "100", "--workers", "1"])
 """
@@ -169,13 +179,10 @@ app(["library", "build", sys.argv[1], "--out", sys.argv[2], "--units", "mm", "--
 @pytest.mark.slow
 def test_a_killed_build_continues_with_equal_files(meshes, built, tmp_path):
     command = [sys.executable, "-c", BUILD, str(meshes), str(tmp_path / "out")]
-    waiting = tmp_path / "out" / WAITING
-    running = subprocess.Popen(command)
-    wait_for_records(waiting, 2, running.poll)
-    running.kill()
-    running.wait()
+    assert subprocess.run([*command, "killed", WAITING], timeout=HANGS_S).returncode == -signal.SIGKILL
+    assert len(list((tmp_path / "out" / WAITING).glob("[!.]*"))) == 2
     assert not (tmp_path / "out" / "library.json").exists()
-    assert subprocess.run(command, timeout=HANGS_S).returncode == 0
+    assert subprocess.run([*command, "continued", WAITING], timeout=HANGS_S).returncode == 0
     assert read_files(tmp_path / "out") == read_files(built)
 
 
@@ -197,7 +204,9 @@ def test_a_killed_worker_of_a_cluster_costs_only_time(sources, built, tmp_path):
         victim = cluster.workers[0]
 
         def kill() -> None:
-            wait_for_records(out / WAITING, 1)
+            limit_s = time.monotonic() + HANGS_S
+            while not list((out / WAITING).glob("[!.]*")) and time.monotonic() < limit_s:
+                time.sleep(0.005)
             os.kill(victim.pid, signal.SIGKILL)
 
         killer = threading.Thread(target=kill)
@@ -206,12 +215,3 @@ def test_a_killed_worker_of_a_cluster_costs_only_time(sources, built, tmp_path):
         killer.join()
     assert (done.made, done.failed) == (NAMES, {})
     assert read_files(out) == read_files(built)
-
-
-def wait_for_records(waiting: Path, count: int, ended=lambda: None) -> None:
-    """Wait until some records are finished."""
-    limit_s = time.monotonic() + HANGS_S
-    while sum(not path.name.startswith(".") for path in waiting.glob("*")) < count:
-        assert time.monotonic() < limit_s
-        assert ended() is None
-        time.sleep(0.005)

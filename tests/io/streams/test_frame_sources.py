@@ -4,6 +4,7 @@ import importlib.util
 import os
 import shutil
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -303,12 +304,22 @@ def test_a_folder_gives_its_newest_file_once(tmp_path):
     assert taker.take().name == "new.png"
 
 
-def test_a_video_plays_until_it_ends(film, tmp_path):
-    taker = FrameTaker(Video(tmp_path / "film.mp4", every=False))
-    numbers = [taker.take().number]
-    time.sleep(0.2)
-    numbers.append(taker.take().number)
-    assert numbers[1] == 49 > numbers[0]
+def test_a_video_plays_until_it_ends(film, tmp_path, monkeypatch):
+    taken = threading.Event()
+
+    def play(_):
+        yield picture((0, 0, 0))
+        assert taken.wait(600)
+        yield from (picture((k, k, k)) for k in range(1, 50))
+
+    monkeypatch.setattr(frame_sources, "read_video", play)
+    source = Video(tmp_path / "film.mp4", every=False)
+    taker = FrameTaker(source)
+    assert taker.take().number == 0
+    taken.set()
+    while not source._ended:
+        time.sleep(0.001)
+    assert taker.take().number == 49
     with pytest.raises(SourceError):
         taker.take()
 
