@@ -242,21 +242,6 @@ def test_run_reads_touch_mesh_and_sensor_files(cli, tmp_path):
     assert re.search(r"\bframe\b.*\bsensor\b", done.stdout)
 
 
-def test_all_kinds_of_one_touch_are_located_alike(cli, tmp_path):
-    depth = np.where(touch_depths() == 0, 0.0, 1.5)
-    maps = {"distance": depth, "indentation": 1.5 - depth, "height": depth - 1.5}
-    found = []
-    for kind, values in maps.items():
-        np.save("touch.npy", values)
-        touch = ["--object", "hook", "--touch", "touch.npy", "--touch-unit", "mm", "--touch-kind", kind]
-        succeed(cli("run", *TINY, *touch, "--press-depth", 1.5, "--out", kind))
-        result = json.loads((tmp_path / kind / "result.json").read_text())
-        assert result["configuration"]["touch"]["kind"] == kind
-        found.append([one["T_sensor_object"] for one in result["hypotheses"]])
-    np.testing.assert_allclose(found[1], found[0], atol=1e-6)
-    np.testing.assert_allclose(found[2], found[0], atol=1e-6)
-
-
 def test_guesses_are_shown_as_one_line_warnings(cli):
     write_box(Path("box.obj"), faces=10)
     done = succeed(cli("run", *TINY, *SURE, "--object", "box.obj"))
