@@ -144,7 +144,7 @@ def make_inspection_page(found: Inspection, located: Localization, picture: Path
         ("pose moved", f"{1e3 * found.moved_m:.2f} mm", "by the differences, without this inspection"),
     ]
     sizes = ("height (mm)", "+- (mm)", "x (mm)", "y (mm)", "z (mm)", "width (mm)")
-    header = ("difference", *sizes, "touches", "clean (%)")
+    header = ("difference", *sizes, "touches")
     kinds = (("", found.differences), ("unconfirmed ", found.unconfirmed))
     rows = [
         [
@@ -154,14 +154,13 @@ def make_inspection_page(found: Inspection, located: Localization, picture: Path
             *(f"{v:.1f}" for v in 1e3 * one.point_m),
             f"{1e3 * one.width_m:.1f}",
             str(one.touches),
-            f"{100 * one.clean:.2g}",
         ]
         for kind, some in kinds
         for number, one in enumerate(some, 1)
     ]
     note = (
         "Heights are along the surface normal: + is material that the model lacks. +- is twice the standard deviation. "
-        "Places are in the part's frame. The last column bounds the share of clean parts that show as much."
+        "Places are in the part's frame. At most 2 % of clean parts show a difference."
     )
     sections = [
         Section("summary", "", {"numbers": numbers, "notes": found.list_notes()}),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter
+from scipy.ndimage import binary_erosion, gaussian_filter, maximum_filter, uniform_filter
 from tactile_loc.plugin import Scene, SensorGeometry, View
 from tactile_loc.plugin.helpers import exponential, invert, transform_points
 
@@ -26,15 +26,18 @@ ABOVE_M = 8e-4  # and up to this distance from the undeformed gel
 NEAR_M = 5e-4  # a larger difference counts as this much in a misfit
 PRIOR_STD = np.array([1e-2] * 3 + [3e-4] * 3)  # of the given pose, about and along each axis: radians and metres
 STEPS = np.array([2e-3] * 3 + [2e-5] * 3)  # of a twist, for derivatives: radians and metres
-SCALES_M = (2e-4, 1e-4, 5e-5, 3e-5, 3e-5)  # of the weights in each round of the fit
+ROUGH_M, SCALES_M = (2e-4, 1e-4, 5e-5), (5e-5, 3e-5, 3e-5)  # of the weights in each round of both fits
 BLURS_M = (0.0, 1e-4, 1.5e-4, 2e-4, 3e-4, 4e-4)  # of the sensor, which are tried
-BLUR_GAIN = 0.8  # a blur is used if it reduces the misfit to this share
+BLUR_GAIN = 0.97  # a blur is used if it reduces the misfit to this share
 SMOOTHING_M = 1.5e-4  # of both imprints in the fit of the pose, so that outlines have slopes
+SPREAD = (0.7, 1.036)  # a quantile of normal errors, and its value in standard deviations
 EXACT_M = 3e-6  # least noise of a reading
 FLAT_M = 5e-6  # a pixel on a flat or evenly sloped surface is at most this far from the mean of its neighbours
 EDGE = 1.5  # error of the height at an edge, as a share of the distance from the mean of the neighbours
 RIM_M, RIM_NOISE = 2e-5, 5.0  # a shallower contact may be missed: metres, and in multiples of the noise
 STEEPEST = 3.0  # slope above which a surface is not compared
+BLURRED_M, BLURRED_EDGE = 2e-5, 0.5  # least noise of a blurred reading, and share of a sharp edge that counts
+BORDER_M = 6e-4  # at the border of the gel, a blurred reading is not compared
 CORRELATED_M2 = 5e-7  # area in which the error of a reading is the same
 TOUCHING_M = 2e-6  # an elastic gel touches the model where its surface is this near
 
@@ -58,7 +61,7 @@ class Differences:
 class Comparison:
     """A touch beside the model at the refined pose `T` (4, 4), in the frame of the touch's sensor.
 
-    `T_plain` (4, 4) is the pose of ordinary least squares, which differences of the part may move. `edge_std_m`
+    `edge_std_m`
     and `pose_std_m` (H, W) are the standard deviations of a difference that come from edges and from the pose.
     `points_m` and `normals` (H, W, 3) are the model's surface in the object's frame. `cosines` (H, W) are those of the
     angles between the sensor's axis and the normals. `noise_m` is the noise of the reading where the surface is flat,
@@ -68,7 +71,6 @@ class Comparison:
 
     geometry: SensorGeometry
     T: Floats
-    T_plain: Floats
     differences: Differences
     edge_std_m: Floats
     pose_std_m: Floats
@@ -174,17 +176,24 @@ def compare_touches(views: Sequence[View], poses: Sequence[Floats]) -> list[Comp
     A blur is used if it explains the touches together clearly better.
     """
     images = [TouchImage.of(view) for view in views]
-    rough = [fit_pose(image, T, T, SCALES_M[:3]).model_m for image, T in zip(images, poses, strict=True)]
+    rough = [fit_pose(image, T, T, ROUGH_M) for image, T in zip(images, poses, strict=True)]
     misfits = [
-        sum(_measure_blurred(image, model_m, blur_m) for image, model_m in zip(images, rough, strict=True))
+        sum(_measure_blurred(image, one.model_m, blur_m) for image, one in zip(images, rough, strict=True))
         for blur_m in BLURS_M
     ]
     best = int(np.argmin(misfits))
     blur_m = BLURS_M[best] if misfits[best] < BLUR_GAIN * misfits[0] else 0.0
     return [
-        _compare(dataclasses.replace(image, blur_m=blur_m), np.asarray(T, float))
-        for image, T in zip(images, poses, strict=True)
+        _compare(image, fit_pose(image, one.T, T))
+        for image, one, T in zip(
+            (dataclasses.replace(image, blur_m=blur_m) for image in images), rough, poses, strict=True
+        )
     ]
+
+
+def fit_plain_pose(view: View, T_sensor_object: Floats) -> Floats:
+    """Return the pose (4, 4) of least squares near a pose (4, 4), metres: differences of the part move it."""
+    return fit_pose(TouchImage.of(view), T_sensor_object, T_sensor_object, (None, None)).T
 
 
 def _measure_blurred(image: TouchImage, model_m: Floats, blur_m: float) -> float:
@@ -193,26 +202,30 @@ def _measure_blurred(image: TouchImage, model_m: Floats, blur_m: float) -> float
     return measure_misfit(blurred.compare_everywhere(blurred.soften(model_m[None])[0]))
 
 
-def _compare(image: TouchImage, given: Floats) -> Comparison:
-    """Compare a touch with the model near a pose (4, 4), metres."""
-    fitted = fit_pose(image, given, given)
-    plain = fit_pose(image, fitted.T, given, (None, None))
+def _compare(image: TouchImage, fitted: FittedPose) -> Comparison:
+    """Compare a touch with the model at a fitted pose."""
     everywhere = image.compare_everywhere(fitted.model_m)
     rough_m = measure_roughness(fitted.model_m)
     noise_m = measure_noise(everywhere, rough_m)
+    reliable = np.ones_like(everywhere.known)
+    if image.blur_m:
+        sharp_m = dataclasses.replace(image, blur_m=0.0).draw(fitted.T[None])[0]
+        rough_m = np.maximum(rough_m, BLURRED_EDGE * measure_roughness(np.minimum(sharp_m, image.press_m)))
+        noise_m = max(noise_m, BLURRED_M)
+        inside = np.pad(image.geometry.observed_mask, 1)
+        reliable = binary_erosion(inside, iterations=1 + round(BORDER_M / image.geometry.pixel_pitch_m))[1:-1, 1:-1]
     found = image.subtract(fitted.model_m, image.find_model_touching(fitted.model_m, fitted.T))
     points_m, normals, cosines = _describe_surface(image, fitted)
     rim_m = max(RIM_M, RIM_NOISE * noise_m)
     faint = (found.missed & (image.cut_m - fitted.model_m < rim_m)) | (
         found.extra & (image.cut_m - image.depth_m < rim_m)
     )
-    known = found.known & ~faint & (cosines > 1 / np.hypot(1, STEEPEST))
+    known = found.known & ~faint & reliable & (cosines > 1 / np.hypot(1, STEEPEST))
     found = Differences(np.where(known, found.height_m, 0), known, found.missed & known, found.extra & known)
     variance = np.einsum("ihw,ij,jhw->hw", fitted.J, fitted.covariance, fitted.J)
     return Comparison(
         image.geometry,
         fitted.T,
-        plain.T,
         found,
         EDGE * rough_m,
         np.sqrt(np.maximum(variance, 0)),
@@ -291,7 +304,8 @@ def measure_noise(found: Differences, rough_m: Floats) -> float:
     if not smooth.any():
         return EXACT_M
     heights_m = found.height_m[smooth]
-    return max(EXACT_M, 1.4826 * float(np.median(np.abs(heights_m - np.median(heights_m)))))
+    off_m = np.abs(heights_m - np.median(heights_m))
+    return max(EXACT_M, float(np.quantile(off_m, SPREAD[0])) / SPREAD[1])
 
 
 def measure_misfit(found: Differences) -> float:

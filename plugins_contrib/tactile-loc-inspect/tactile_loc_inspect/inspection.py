@@ -11,7 +11,7 @@ from tactile_loc import Hypothesis, Localization, ObjectModel, TactileLocError
 from tactile_loc.plugin import View
 from tactile_loc.plugin.helpers import transform_points
 
-from tactile_loc_inspect.comparison import Comparison, Floats, compare_touches
+from tactile_loc_inspect.comparison import Comparison, Floats, compare_touches, fit_plain_pose
 from tactile_loc_inspect.scan import SIZES_M, WIDTH, SurfaceMap, map_differences
 
 CERTAIN = "certain"  # the verdict that gives a pose
@@ -25,6 +25,7 @@ FAR_M = 1e-3  # a refinement that moves the surface farther is reported
 MOSTLY = 0.4  # share of differing places from which the pose is in doubt
 BETTER = 0.7  # another pose explains the touches better if it leaves this share of the misfit
 LEAST_MISFIT_M = 3e-6
+BOUNDED = 0.2  # share of places with bounds from which a difference is a bound
 NUMBERS = ("noise_m", "blur_m", "misfit_m")  # of a touch, in files
 SHARP = 0.3  # the height is that of the smallest blob whose statistic is at least this share of the best one
 
@@ -37,17 +38,21 @@ class InspectionError(TactileLocError):
 class Limits:
     """When a difference is reported, for one kind of reading.
 
-    `ratio` is the least statistic, and `touches` the least number of touches that alone show the difference. On clean
-    parts, the greatest statistic exceeds `ratio` by a further `e_fold` in 1 / e of the cases.
+    `ratio` is the least statistic. `touches` is the least number of touches that alone show the difference, and
+    `bounds` their least number if they only bound it.
     """
 
     ratio: float
-    e_fold: float
     touches: int
+    bounds: int
+
+    def are_met(self, one: Difference) -> bool:
+        """Return whether enough touches show a difference."""
+        return one.touches >= (self.bounds if one.at_least else self.touches)
 
 
-EXACT = Limits(8.0, 1.0, 1)
-NOISY = Limits(8.0, 1.0, 2)
+EXACT = Limits(4.0, 1, 1)
+NOISY = Limits(5.0, 2, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +62,7 @@ class Difference:
     `point_m` (3,) and `normal` (3,) are of the model's surface, in the object's frame. The part is `height_m` metres
     above the model along the normal, or below it if negative, with the standard deviation `std_m`. With `at_least`, the
     true difference may be larger. `width_m` is the width at half of the height. `touches` alone show it, and
-    `against` alone show the opposite. `clean` bounds the share of clean parts that show as much.
+    `against` alone show the opposite.
     """
 
     point_m: Floats
@@ -69,12 +74,11 @@ class Difference:
     touches: int
     against: int
     ratio: float
-    clean: float
 
     def to_json(self) -> dict[str, Any]:
         """Return the difference as JSON values, in SI units."""
         values = {name: getattr(self, name) for name in ("height_m", "std_m", "width_m", "at_least", "touches")}
-        more = {"against": self.against, "statistic": self.ratio, "clean_share": self.clean}
+        more = {"against": self.against, "statistic": self.ratio}
         return {"point_m": self.point_m.tolist(), "normal": self.normal.tolist(), **values, **more}
 
     def describe(self) -> str:
@@ -94,7 +98,7 @@ class Inspection:
 
     `differences` are certain enough to report, the greatest first, and `unconfirmed` are seen by a single touch of a
     noisy reading. `detectable_m` is the height of a difference that would have been found with 95 % probability at the
-    touched places. `touched` is the share of the surface that the touches show. `moved_m` is how far the differences
+    touched places. `touched` is the share of the surface that enough touches show. `moved_m` is how far the differences
     move an ordinary pose: the largest displacement of a surface point. `refined_m` is how far the refinement moved the
     given pose. `unexplained` is the share of the touched places that differ. `better` is the number of another pose,
     from 1, that explains the touches better; None if there is none.
@@ -115,9 +119,11 @@ class Inspection:
 
     @property
     def verdict(self) -> str:
-        """One of "as the model", "differs" and "another pose"."""
+        """One of "as the model", "differs", "another pose" and "not enough touches"."""
         if self.better is not None:
             return "another pose"
+        if not self.differences and not np.isfinite(self.detectable_m):
+            return "not enough touches"
         return "differs" if self.differences else "as the model"
 
     def list_notes(self) -> list[str]:
@@ -161,6 +167,10 @@ class Inspection:
         where = f"; the touches show {100 * self.touched:.1f} % of the surface"
         if self.better is not None:
             return f"pose {self.better} explains the touches better, so no difference is reported{where}"
+        if self.verdict == "not enough touches":
+            return (
+                f"not enough touches: the reading has noise, so {self.limits.touches} touches must show the same place"
+            )
         if not self.differences:
             width = 1e3 * WIDTH * SIZES_M[STATED_SIZE]
             within = f"{1e3 * self.detectable_m:.2f} mm at the touched places (differences {width:.1f} mm wide)"
@@ -175,20 +185,22 @@ def inspect_part(views: Sequence[View], poses: Sequence[Floats], others: Sequenc
     """
     comparisons = tuple(compare_touches(views, poses))
     found, obj = map_differences(comparisons), views[0].scene.object
-    limits = NOISY if min(one.noise_m for one in comparisons) > NOISY_M else EXACT
+    pairs = list(zip(views, comparisons, strict=True))
+    limits = NOISY if comparisons[0].blur_m or np.median([one.noise_m for one in comparisons]) > NOISY_M else EXACT
     listed = list_differences(found, limits)
-    enough = [one for one in listed if one.touches >= limits.touches]
-    std = found.std_m[STATED_SIZE][np.isfinite(found.std_m[STATED_SIZE]) & (found.touches >= limits.touches)]
+    enough = [one for one in listed if limits.are_met(one)]
+    shown = np.isfinite(found.std_m[STATED_SIZE]) & (found.touches >= limits.touches)
+    std = found.std_m[STATED_SIZE][shown]
     return Inspection(
         obj,
         comparisons,
         found,
         limits,
         tuple(enough),
-        tuple(one for one in listed if one.touches < limits.touches),
+        tuple(one for one in listed if not limits.are_met(one)),
         (limits.ratio + FOUND_SHARE) * float(np.quantile(std, 0.95)) if len(std) else np.inf,
-        min(1.0, float(found.areas_m2.sum() / obj.mesh.face_areas.sum())),
-        max(measure_motion(obj, one.T_plain, one.T) for one in comparisons) if enough else 0.0,
+        min(1.0, float(found.areas_m2[found.touches >= limits.touches].sum() / obj.mesh.face_areas.sum())),
+        max(measure_motion(obj, fit_plain_pose(view, one.T), one.T) for view, one in pairs) if enough else 0.0,
         max(measure_motion(obj, T, one.T) for T, one in zip(poses, comparisons, strict=True)),
         float((np.abs(found.ratios[1]) > limits.ratio).mean()),
         find_better(views, comparisons, others),
@@ -213,11 +225,10 @@ def list_differences(found: SurfaceMap, limits: Limits) -> list[Difference]:
                 float(found.heights_m[sharp, place]),
                 float(found.std_m[sharp, place]),
                 width,
-                bool(found.bounds[distances < width / 2].mean() > 0.5),
+                bool(found.bounds[distances < width].mean() > BOUNDED),
                 int(found.support[k, place]),
                 int(found.against[k, place]),
                 float(best[place]),
-                float(0.02 * np.exp(-(best[place] - limits.ratio) / limits.e_fold)),
             )
         )
         widest = WIDTH * SIZES_M[int(np.flatnonzero(ratios[:, place] > limits.ratio)[-1])]

@@ -5,7 +5,7 @@ import pytest
 from inspect_helpers import TOP_M, make_burr, make_plate, misplace, press
 from tactile_loc.plugin.helpers import make_translation
 
-from tactile_loc_inspect.comparison import compare_touches
+from tactile_loc_inspect.comparison import compare_touches, fit_plain_pose
 from tactile_loc_inspect.inspection import InspectionError, inspect_localization, inspect_part
 from tactile_loc_inspect.scan import map_differences
 
@@ -43,7 +43,8 @@ def test_the_robust_pose_is_nearer_to_the_truth_than_the_plain_one():
     views = press(make_plate(make_burr(0.3)))
     found = inspect_part(views, misplace(views))
     for view, one in zip(views, found.comparisons, strict=True):
-        robust, plain = (np.abs((T - view.touch.T_sensor_object)[2]).max() for T in (one.T, one.T_plain))
+        poses = one.T, fit_plain_pose(view, one.T)
+        robust, plain = (abs((T - view.touch.T_sensor_object)[2] @ [*TOP_M, 1]) for T in poses)
         assert robust < plain
 
 
