@@ -15,7 +15,7 @@ from asked import make_parser, make_source, name_asked, open_asked, write_head
 from numpy.typing import NDArray
 from tactile_loc_benchmark.suite import read_split
 
-from tactile_loc import GaussianPrior, HypothesesPrior, Localizer, PoseJudge, Touch
+from tactile_loc import GaussianPrior, HypothesesPrior, Localizer, PoseJudge, Touch, Verdict
 from tactile_loc.core.geometry.rigid import make_transform, vector_to_rotation
 
 LISTED = 10
@@ -51,34 +51,37 @@ def draw_list(localizer: Localizer, T: Array, rng: np.random.Generator) -> tuple
     return np.array(poses), logs, errors_m < RIGHT_M
 
 
-def rank(localizer: Localizer, touch: Touch, poses: Array, logs: Array) -> Array:
-    """Return the probabilities (K,) of listed poses after a touch."""
+def locate(localizer: Localizer, touch: Touch, poses: Array, logs: Array) -> tuple[Array, Verdict, bool]:
+    """Return the probabilities (K,) of listed poses after a touch, the verdict, and whether the first pose is right."""
     std = STD_M * np.sqrt(3), STD_RAD * np.sqrt(3)
     listed = tuple(GaussianPrior(T, *std, localizer.object.symmetry) for T in poses)
     prior = HypothesesPrior(listed, np.exp(logs) / np.exp(logs).sum())
-    found = localizer.localize(touch, prior).hypotheses
-    return prior.rank(np.array([h.T_sensor_object for h in found]), np.array([h.probability for h in found]))
+    found = localizer.localize(touch, prior)
+    T, p = np.array([h.T_sensor_object for h in found.hypotheses]), np.array([h.probability for h in found.hypotheses])
+    errors_m = PoseJudge(localizer.object).measure_errors(T[:1], touch.T_sensor_object)
+    return prior.rank(T, p), found.verdict, bool(errors_m[0, 0] < RIGHT_M)
 
 
 def measure(localizer: Localizer, arguments: argparse.Namespace) -> list[str]:
     """Return the part's cells of the table."""
     source = make_source(localizer.object, localizer.scene.geometry)
-    before, after, stated, sure, noticed = [], [], [], [], []
+    before, after, stated, certain, absent = [], [], [], [], []
     for k in range(arguments.lists):
         rng = np.random.default_rng([arguments.seed, k])
         touch = source.draw_example(1, rng)[0][0]
         poses, logs, right = draw_list(localizer, touch.T_sensor_object, rng)
-        ranked = rank(localizer, touch, poses, logs)
+        ranked, verdict, found = locate(localizer, touch, poses, logs)
         before.append(right[logs.argmax()])
         after.append(right[ranked.argmax()])
         stated.append(ranked.max())
-        sure.append(ranked.max() >= SURE)
+        certain += [found] if verdict is Verdict.CERTAIN else []
         if not right.all():
-            noticed.append(rank(localizer, touch, poses[~right], logs[~right]).sum() < 0.5)
-    certain = np.array(after)[np.array(sure)]
-    shares = [np.mean(before), np.mean(after), np.mean(stated), np.mean(sure)]
-    kept = f"{certain.sum()} of {len(certain)}"
-    return [*(f"{100 * share:.0f} %" for share in shares), kept, f"{100 * np.mean(noticed):.0f} %"]
+            _, verdict, found = locate(localizer, touch, poses[~right], logs[~right])
+            absent += [found] if verdict is Verdict.CERTAIN else []
+    sure = np.array(after)[np.array(stated) >= SURE]
+    shares = (f"{100 * np.mean(one):.0f} %" for one in (before, after))
+    counts = (f"{np.sum(some):.0f} of {len(some)}" for some in (sure, certain, absent))
+    return [*shares, *counts]
 
 
 def main() -> None:
@@ -88,7 +91,7 @@ def main() -> None:
     parser.add_argument("--lists", type=int, default=20, help="lists of each part")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    names = ("first before", "first after", "mean stated", "95 % stated", "right of these", "absence noticed")
+    names = ("first before", "first after", "right at 95 %", "right if certain", "right if certain, pose not listed")
     print(write_head("part", *names))
     for asked in arguments.objects:
         cells = measure(open_asked(asked, sensor=arguments.sensor), arguments)

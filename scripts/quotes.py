@@ -123,7 +123,7 @@ def seven_contacts(r: Results) -> list[float]:
 def sure_lists(r: Results) -> list[float]:
     """Return the number of right poses with a probability of at least 95 %, and of all of them."""
     table = r["vision_lists"].table(1)
-    rows = [table.numbers("right of these", row[0]) for row in table.rows]
+    rows = [table.numbers("right at 95 %", row[0]) for row in table.rows]
     return [sum(row[k] for row in rows) for k in (0, 1)]
 
 

@@ -20,7 +20,8 @@ from tactile_loc.core.poses.metric import PoseGrid
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.errors import ConfigError
 
-ELSEWHERE = 1e-6  # weight of a pose far from all hypotheses, of which one with the probability 1 has the weight 1
+ELSEWHERE = 1e-2  # weight of a pose far from all hypotheses; one with the probability 1 has the weight 1
+FAR = 1e-6  # weight below which a pose belongs to no hypothesis
 FORGOTTEN = 1e-6  # the least probable poses of a posterior, which together have this probability, are ignored
 KERNEL_RADII = 6.0  # standard deviations beyond which a kernel counts as zero (e^-18)
 LEAST_SPREAD = 0.5  # grid spacings; the median distance of the true pose from the nearest grid pose
@@ -174,15 +175,16 @@ class HypothesesPrior(PosePrior):
 
     def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return the log-weights (N,) of poses (N, 4, 4), metres."""
-        return np.logaddexp.reduce(self._list_parts(T_sensor_object), axis=0)
+        return np.logaddexp.reduce(self._list_parts(T_sensor_object, self.floor), axis=0)
 
     def rank(self, T_sensor_object: Poses, probabilities: Floats) -> Floats:
         """Return the probabilities (K,) that the hypotheses are right, given that one of the located poses is.
 
         The located poses (N, 4, 4) are in metres, and their `probabilities` (N,) include this prior. Each belongs to a
-        hypothesis by the hypothesis' part of its weight. The rest to 1 is the probability that no hypothesis is right.
+        hypothesis by the hypothesis' part of its weight, or to none of them if it is far from all. The rest to 1 is the
+        probability that no hypothesis is right.
         """
-        parts = self._list_parts(T_sensor_object)
+        parts = self._list_parts(T_sensor_object, FAR)
         shares = np.exp(parts - np.logaddexp.reduce(parts, axis=0))
         return np.asarray(shares[:-1] @ (probabilities / np.sum(probabilities)))
 
@@ -190,10 +192,10 @@ class HypothesesPrior(PosePrior):
         """Return the poses (K, 4, 4), metres, of the hypotheses."""
         return np.array([one.T for one in self.hypotheses])
 
-    def _list_parts(self, T_sensor_object: Poses) -> Floats:
-        """Return the logs (K + 1, N) of the parts of the weights: of each hypothesis, and of the floor."""
+    def _list_parts(self, T_sensor_object: Poses, floor: float) -> Floats:
+        """Return the logs (K + 1, N) of the parts of the weights: of each hypothesis, and of the `floor`."""
         with np.errstate(divide="ignore"):
-            log_p, log_f = np.log(self.probabilities), np.log(self.floor)
+            log_p, log_f = np.log(self.probabilities), np.log(floor)
         kernels = np.array([one(T_sensor_object) for one in self.hypotheses]) + log_p[:, None]
         return np.concatenate([kernels, np.full((1, len(T_sensor_object)), log_f)])
 
