@@ -33,7 +33,7 @@ import figures
 from results import NUMBER, RESULTS, ROOT, Kept, Table, find_tables, list_versions, read_before, read_latest
 
 BENCHMARKS = ROOT / "benchmarks"
-SHARED = ("asked", "determined", "mistake_cases")  # modules that benchmarks share
+SHARED = ("asked", "determined", "mistake_cases", "planted")  # modules that benchmarks share
 PAGE = RESULTS / "README.md"
 PACKAGES = ("numpy", "scipy", "numba", "torch", "open3d", "trimesh", "faiss-cpu")
 WORSE = 0.1  # share by which a time may grow

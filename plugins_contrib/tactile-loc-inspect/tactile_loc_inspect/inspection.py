@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,8 @@ STATED_SIZE = 2  # index in SIZES_M of the differences for which the verdict sta
 FAR_M = 1e-3  # a refinement that moves the surface farther is reported
 MOSTLY = 0.4  # share of differing places from which the pose is in doubt
 BETTER = 0.7  # another pose explains the touches better if it leaves this share of the misfit
-LEAST_MISFIT_M = 3e-6
+LEAST_MISFIT_M = 2e-5  # a pose with a smaller misfit explains the touches
+HALF = 0.5  # share of the height that a blob as wide as the difference has
 BOUNDED = 0.2  # share of places with bounds from which a difference is a bound
 NUMBERS = ("noise_m", "blur_m", "misfit_m")  # of a touch, in files
 SHARP = 0.3  # the height is that of the smallest blob whose statistic is at least this share of the best one
@@ -178,10 +179,12 @@ class Inspection:
         return f"differs here: {self.differences[0].describe()}{where}"
 
 
-def inspect_part(views: Sequence[View], poses: Sequence[Floats], others: Sequence[Sequence[Floats]] = ()) -> Inspection:
+def inspect_part(
+    views: Sequence[View], poses: Sequence[Floats], others: Mapping[int, Sequence[Floats]] | None = None
+) -> Inspection:
     """Inspect a part from touches, given its pose (4, 4), metres, in the sensor frame of each touch.
 
-    `others` are further poses, each in the frames of all touches, that may explain the touches better.
+    `others` are further poses by their numbers, each in the frames of all touches, that may explain the touches better.
     """
     comparisons = tuple(compare_touches(views, poses))
     found, obj = map_differences(comparisons), views[0].scene.object
@@ -203,7 +206,7 @@ def inspect_part(views: Sequence[View], poses: Sequence[Floats], others: Sequenc
         max(measure_motion(obj, fit_plain_pose(view, one.T), one.T) for view, one in pairs) if enough else 0.0,
         max(measure_motion(obj, T, one.T) for T, one in zip(poses, comparisons, strict=True)),
         float((np.abs(found.ratios[1]) > limits.ratio).mean()),
-        find_better(views, comparisons, others),
+        find_better(views, comparisons, others or {}),
     )
 
 
@@ -215,8 +218,9 @@ def list_differences(found: SurfaceMap, limits: Limits) -> list[Difference]:
     while left.any() and len(listed) < MOST:
         place = int(np.where(left, best, 0).argmax())
         k, point = int(size[place]), found.points_m[place]
-        width = WIDTH * SIZES_M[k]
         sharp = int(np.argmax(ratios[:, place] > max(limits.ratio, SHARP * best[place])))
+        heights = found.heights_m[:, place] / found.heights_m[sharp, place]
+        width = WIDTH * SIZES_M[int(np.flatnonzero(heights > HALF)[-1])]
         distances = np.linalg.norm(found.points_m - point, axis=1)
         listed.append(
             Difference(
@@ -243,12 +247,14 @@ def measure_motion(obj: ObjectModel, T: Floats, other: Floats) -> float:
 
 
 def find_better(
-    views: Sequence[View], comparisons: Sequence[Comparison], others: Sequence[Sequence[Floats]]
+    views: Sequence[View], comparisons: Sequence[Comparison], others: Mapping[int, Sequence[Floats]]
 ) -> int | None:
-    """Return the number of the best other pose, from 2, if it explains the touches better than the pose compared."""
-    misfit = max(float(np.mean([one.misfit_m for one in comparisons])), LEAST_MISFIT_M)
+    """Return the number of the best other pose, if it explains the touches better than the pose compared."""
+    misfit = float(np.mean([one.misfit_m for one in comparisons]))
+    if misfit < LEAST_MISFIT_M:
+        return None
     best, number = BETTER * misfit, None
-    for k, poses in enumerate(others, 2):
+    for k, poses in others.items():
         other = float(np.mean([one.misfit_m for one in compare_touches(views, poses)]))
         if other < best:
             best, number = other, k
@@ -269,9 +275,9 @@ def inspect_localization(located: Localization, pose: int | None = None) -> Insp
     if not 1 <= number <= len(located.hypotheses):
         raise InspectionError(f"there is no pose {number}; give --pose 1 to {len(located.hypotheses)}")
     views = located.make_views()
-    all_poses = [_list_poses(one, views) for one in located.hypotheses]
-    chosen = all_poses.pop(number - 1)
-    return inspect_part(views, chosen, all_poses[:MOST_OTHERS])
+    numbered = {k: _list_poses(one, views) for k, one in enumerate(located.hypotheses[: MOST_OTHERS + 1], 1)}
+    chosen = numbered.pop(number, None) or _list_poses(located.hypotheses[number - 1], views)
+    return inspect_part(views, chosen, numbered)
 
 
 def _list_poses(one: Hypothesis, views: Sequence[View]) -> list[Floats]:

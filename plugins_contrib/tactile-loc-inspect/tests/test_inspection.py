@@ -58,7 +58,7 @@ def test_opposite_differences_cancel_and_are_counted(clean_views):
 def test_a_better_pose_is_named_instead_of_a_difference(clean_views):
     wrong = [make_translation([1.5e-3, 0, 0]) @ view.touch.T_sensor_object for view in clean_views]
     right = [view.touch.T_sensor_object for view in clean_views]
-    found = inspect_part(clean_views, wrong, [right])
+    found = inspect_part(clean_views, wrong, {2: right})
     assert (found.verdict, found.better) == ("another pose", 2)
 
 

@@ -1,0 +1,194 @@
+#!/usr/bin/env python3
+"""Differences that `tactile-loc inspect` finds on clean parts and on parts with a planted difference.
+
+Each part is touched three times at a random place, with tilts and shifts. A burr and a dent are caps 1.6 mm wide. A
+closed hole is 2 mm wide: the model has it, the part does not. A shifted boss is 2.4 mm wide and 0.5 mm high. A worn
+edge has a flat 4 mm long. The size is the height, depth or shift, or the depth of the flat below the edge. Touches are
+drawn by ray casting, which the inspection does not use. Given poses have errors of 0.1 mm and 0.2 degrees along each
+axis.
+
+The first table has the share of parts with a reported difference within 1.5 mm of the planted one, and the clean parts
+with any reported difference. The second one has the pose errors that the differences cause, with clean readings: the
+largest displacement of a surface point (median, 90 %) by a fit that starts at the true pose. No part was used to choose
+limits. An interrupted run continues with the next part.
+"""
+
+import contextlib
+import functools
+import hashlib
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from asked import ROOT, load_asked, make_parser, name_asked, write_head
+from planted import KINDS, Spot, alter
+from tactile_loc_benchmark.sources.taxim_images import TaximImages
+from tactile_loc_inspect import comparison, inspection, scan
+
+from tactile_loc import ObjectModel, RobotTouches, Touch, make_noise
+from tactile_loc.core.runtime.errors import TactileLocError, TouchError
+from tactile_loc.core.sensing.gel import Gel
+from tactile_loc.evaluation.jobs import JobOutcome, QueuedJob, do_job, resume_jobs
+from tactile_loc.plugin import Scene, View, registry
+from tactile_loc.plugin.helpers import exponential, invert
+
+SIZES_MM = (0.1, 0.2, 0.3, 0.5)
+READINGS = {"clean": SIZES_MM, "noisy": SIZES_MM, "elastic": SIZES_MM, "images": (0.2, 0.5)}  # with sizes, mm
+MESHES, VERSION = ROOT.parent / "shared" / "data" / "meshes" / "automate", 1  # the version of the presses
+NAMES = (
+    "00187_socket 00486_plug 00731_socket 00296_plug 00514_socket 00652_plug 00103_plug 00016_socket 01053_plug "
+    "00014_plug 00345_plug 00437_plug"
+)
+TOUCHES, DRAWS, SEED, NEAR_M, GEL = 3, 60, 5, 1.5e-3, Gel(4e-3)
+TILT_RAD, ASIDE_M, PRESS, POSE_STD = 0.05, 6e-4, (0.4, 0.8), np.array([3.5e-3] * 3 + [1e-4] * 3)
+
+
+class Presser:
+    """Presses a sensor on parts, drawn by ray casting, and reads the touches."""
+
+    def __init__(self, reading: str, folder: Path) -> None:
+        self.images, self.noise = (
+            reading == "images" and TaximImages(),
+            make_noise("mild" if reading == "noisy" else "none"),
+        )
+        if self.images and not (folder / "sensor" / "sensor.toml").exists():
+            self.images.prepare_sensor(folder)
+        name, options = ("calibrated", {"path": str(folder / "sensor")}) if self.images else ("gelsight-mini", {})
+        self.sensor, self.renderer = (
+            registry().create("sensor", name, options),
+            registry().create("renderer", "raycast", {}),
+        )
+        self.geometry = replace(self.sensor.geometry, gel=GEL) if reading == "elastic" else self.sensor.geometry
+
+    def press(self, obj: ObjectModel, spot: Spot, rng: np.random.Generator) -> Touch | None:
+        """Return a touch of a part at a spot; None if the sensor does not touch it there."""
+        drawn = replace(self.geometry, gel=Gel()) if self.images else self.geometry
+        source = RobotTouches(obj, drawn, self.renderer, noise=self.noise)
+        z, x = -spot.normal, np.cross(spot.normal, rng.normal(size=3))
+        x /= np.linalg.norm(x)
+        T = np.eye(4)
+        T[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+        T = exponential(np.r_[TILT_RAD * rng.normal(size=3), 0, 0, 0], np.zeros(3)) @ T
+        aside = T[:3, :2] @ rng.normal(size=2) * ASIDE_M
+        T[:3, 3] = spot.point_m + aside - T[:3, 2] * (drawn.standoff_m + 3e-3)
+        touch = source.approach(T, drawn.max_depth_m * rng.uniform(*PRESS), "touch", rng)
+        if touch is None or (invert(np.asarray(touch.T_base_sensor)) @ [*spot.point_m, 1])[2] > drawn.surface_m - 1e-4:
+            return None
+        if not self.images:
+            return touch
+        with contextlib.suppress(TactileLocError):
+            scene, T = Scene(obj, touch.geometry, self.renderer), np.asarray(touch.T_sensor_object)
+            return Touch(self.sensor.contact_shape(self.images.press(scene, T, rng)), self.geometry, T_sensor_object=T)
+        return None
+
+
+open_presser = functools.cache(Presser)
+
+
+def inspect(presser: Presser, part: ObjectModel, known: ObjectModel, spot: Spot, seed: Sequence[int]) -> dict[str, Any]:
+    """Press a part, inspect it with the model `known`, and return what is found. Raises TouchError without touches."""
+    rng, mine = np.random.default_rng(seed), registry().create("renderer", "heightmap", {})
+    drawn = (presser.press(part, spot, rng) for _ in range(DRAWS))
+    touches = list(itertools.islice((one for one in drawn if one is not None), TOUCHES))
+    if len(touches) < TOUCHES:
+        raise TouchError("the place cannot be touched")
+    views = [View(one, Scene(known, one.geometry, mine)) for one in touches]
+    true = [np.asarray(one.T_sensor_object) for one in touches]
+    errors = exponential(POSE_STD * rng.normal(size=(TOUCHES, 6)), presser.geometry.gel_middle_m)
+    found, moved_m = inspection.inspect_part(views, list(errors @ np.stack(true))), {}
+    near = [one for one in found.differences if np.linalg.norm(one.point_m - spot.point_m) < NEAR_M]
+    if part is not known and presser.geometry.gel == Gel() and not presser.noise.misplaces:
+        fits = {"plain": [comparison.fit_plain_pose(view, T) for view, T in zip(views, true, strict=True)]}
+        fits["robust"] = [one.T for one in comparison.compare_touches(views, true)]
+        motion = functools.partial(inspection.measure_motion, known)
+        moved_m = {name: max(map(motion, true, some)) for name, some in fits.items()}
+    greatest = np.abs(found.map.ratios[:, found.map.touches >= found.limits.touches]).max(initial=0)
+    return {
+        "found": len(found.differences), "near": len(near), "detectable_m": min(found.detectable_m, 1.0),
+        "greatest": float(greatest), "height_m": near[0].height_m if near else None, "moved_m": moved_m,
+    }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PartJob:
+    """All cases of one part with one kind of reading: clean presses, and each difference of each size once."""
+
+    key: str
+    store: Path
+    reading: str
+    clean: int
+
+    def measure(self, obj: ObjectModel, _: Any) -> dict[str, Any]:
+        """Return a row for each case."""
+        presser, rows = open_presser(self.reading, self.store), []
+        cases = [("clean", 0.0, n) for n in range(self.clean)]
+        cases += [(*one, 100 + n) for n, one in enumerate(itertools.product(KINDS, READINGS[self.reading]))]
+        for (kind, size, number), tried in itertools.product(cases, range(DRAWS)):
+            if rows and rows[-1]["number"] == number:
+                continue
+            seed = [SEED, number, tried, int.from_bytes(obj.name.encode()[:4])]
+            spot = Spot.draw(obj, rng := np.random.default_rng(seed), kind == "worn edge")
+            with contextlib.suppress(TouchError):
+                if presser.press(obj, spot, rng) is not None:
+                    part, known = alter(obj, kind, size, spot) if size else (obj, obj)
+                    row = inspect(presser, part, known, spot, seed)
+                    rows.append({"kind": kind, "size_mm": size, "number": number, **row})
+        return {"rows": rows}
+
+
+class Here:
+    """Runs jobs in this process."""
+
+    def run_jobs(self, jobs: Sequence[Any], subjects: Mapping[str, Any]) -> Iterator[JobOutcome]:
+        """Yield the outcome of each job."""
+        yield from (do_job(job, subjects[job.key]) for job in jobs)
+
+
+def report(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the tables."""
+    print(write_head("reading", "difference", *(f"{size} mm" for size in SIZES_MM), "inspections"))
+    for reading, of in itertools.groupby(rows, lambda row: row["reading"]):
+        by_kind = {
+            kind: [row for row in some if row["kind"] == kind] for some in [list(of)] for kind in ("clean", *KINDS)
+        }
+        for kind, some in by_kind.items():
+            each = [[row["near"] > 0 for row in some if row["size_mm"] == size] for size in SIZES_MM]
+            cells = [f"{100 * np.mean(one):.0f} %" if one else "" for one in each]
+            if kind == "clean":
+                size_mm = 1e3 * np.median([row["detectable_m"] for row in some])
+                kind = f"none; stated: within {size_mm:.2f} mm (median)"
+                cells = [f"{sum(row['found'] > 0 for row in some)} false alarms", "", "", ""]
+            print(f"| {reading} | {kind} | {' | '.join(cells)} | {len(some)} |")
+    print("\n" + write_head("pose", *(f"{size} mm" for size in SIZES_MM)))
+    for name, words in (("plain", "least squares"), ("robust", "of the inspection")):
+        each = [
+            [1e3 * row["moved_m"][name] for row in rows if row["moved_m"] and row["size_mm"] == s] for s in SIZES_MM
+        ]
+        cells = [f"{np.median(one):.2f}, {np.quantile(one, 0.9):.2f}" if one else "" for one in each]
+        print(f"| {words} | {' | '.join(cells)} |")
+
+
+def main() -> None:
+    """Measure, and print both tables."""
+    parser = make_parser(__doc__, [f"{MESHES / name}.obj:m" for name in NAMES.split()])
+    parser.add_argument("--readings", nargs="+", choices=READINGS, default=list(READINGS))
+    parser.add_argument("--clean", type=int, default=17, help="clean inspections of each part")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "inspect-parts", help="folder of the finished jobs")
+    asked = parser.parse_args()
+    code = b"".join(Path(str(one.__file__)).read_bytes() for one in (comparison, scan, inspection))
+    queue = []
+    for reading, name in itertools.product(asked.readings, asked.objects):
+        key = hashlib.sha256(code + repr((VERSION, name_asked(name), reading, asked.clean)).encode()).hexdigest()[:32]
+        job = PartJob(key, asked.out, reading, asked.clean)
+        queue.append(QueuedJob(job, load_asked(name), f"{reading}, {name_asked(name)}", {"reading": reading}))
+    outcomes, _ = resume_jobs("inspecting parts", queue, asked.out, Here())
+    found = [(one.about["reading"], outcomes[one.job.key]) for one in queue]
+    report([{"reading": reading, **row} for reading, one in found if one.measured for row in one.measured["rows"]])
+    print("\n".join(one.error for _, one in found if one.error))
+
+
+if __name__ == "__main__":
+    main()
