@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from asked import ROOT, make_parser, open_asked, write_head
-from tactile_loc_touchability.study import PRESS_SHARE, Study, StudyOptions, run_studies
+from tactile_loc_touchability.study import PRESS_SHARE, SensorSetup, Study, StudyOptions, run_studies
 
 from tactile_loc import Localizer, LocalWorkers, StageStore
 from tactile_loc.plugin import Progress
@@ -48,7 +48,7 @@ def study(localizer: Localizer, options: StudyOptions, out: Path) -> Study:
     """Return the study of a localizer's object, in one process."""
     workers = LocalWorkers(1, 1, out / "workers.log")
     press_m = PRESS_SHARE * localizer.scene.geometry.max_depth_m
-    return run_studies([(localizer, press_m)], options, out, workers, Progress())[0]
+    return run_studies([SensorSetup(localizer, press_m)], options, out, workers, Progress())[0]
 
 
 def measure(mesh: str, arguments: argparse.Namespace, out: Path) -> list[float]:

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     # workers of commands that run many jobs
     from tactile_loc_cli.workers import WorkerOptions as WorkerOptions
 
+    # what the body that carries a sensor must not hit
+    from tactile_loc_cli.commands.next_touch import Obstacles as Obstacles
+
     # identification
     from tactile_loc_cli.commands.identify import IdentificationOutput as IdentificationOutput
 

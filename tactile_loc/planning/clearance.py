@@ -21,6 +21,8 @@ from tactile_loc.io.approach_files import Approach
 from tactile_loc.tracking.pose_modes import PoseModes
 
 STEP_M = 1e-3  # a finger that hits something thicker than this is always found
+MARGIN_M = 1e-5  # between the pressed gel and the rest of the finger
+PIERCED_M = 1e-6  # surfaces that only touch do not count as a hit
 LEAST_PROBABLE = 0.01  # less probable poses of the object are not checked
 
 _models: WeakKeyDictionary[TriangleMesh, Any] = WeakKeyDictionary()  # trees of triangles, which are slow to build
@@ -90,7 +92,7 @@ def make_box_finger(size_m: Sequence[float], geometry: SensorGeometry) -> Triang
 def cut_gel(finger: TriangleMesh, geometry: SensorGeometry, press_m: float) -> TriangleMesh:
     """Return the finger without the layer that is soft: up to `press_m`, metres, behind the gel's surface.
 
-    Parts in front of the gel remain.
+    Parts in front of the gel remain. The layer is pressed flat, so that the rest of the finger stays closed.
     """
     from trimesh import intersections
 
@@ -98,14 +100,20 @@ def cut_gel(finger: TriangleMesh, geometry: SensorGeometry, press_m: float) -> T
     low = high = geometry.surface_m
     if geometry.relief_m is not None:
         low, high = low + float(geometry.relief_m.min()), high + float(geometry.relief_m.max())
-    parts = [
+    back, front = low - press_m - MARGIN_M, high + MARGIN_M
+    behind, before, ahead = (
         cut(finger.vertices_m, finger.faces, [0.0, 0.0, sign], [0.0, 0.0, z])[:2]
-        for sign, z in ((-1.0, low - press_m - 1e-6), (1.0, high + 1e-6))
-    ]
-    offset = len(parts[0][0])
-    vertices, faces = (np.concatenate(both) for both in zip(*parts, strict=True))
-    faces[len(parts[0][1]) :] += offset
-    return TriangleMesh(vertices, faces)
+        for sign, z in ((-1.0, back), (1.0, back), (1.0, front))
+    )
+    layer = cut(*before, [0.0, 0.0, -1.0], [0.0, 0.0, front])[:2]
+    flat = layer[0] * [1.0, 1.0, 0.0] + [0.0, 0.0, back], layer[1]
+    ends = np.cumsum([0, *(len(part[0]) for part in (behind, flat))])
+    parts = zip((behind, flat, ahead), ends, strict=True)
+    faces = np.concatenate([part[1] + end for part, end in parts])
+    vertices = np.concatenate([part[0] for part in (behind, flat, ahead)])
+    corners = vertices[faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return TriangleMesh(vertices, faces[areas > 0])
 
 
 def find_first_hit_m(finger: TriangleMesh, obstacle: TriangleMesh, T_sensor_obstacle: Poses, moved_m: float) -> float:
@@ -122,7 +130,7 @@ def find_first_hit_m(finger: TriangleMesh, obstacle: TriangleMesh, T_sensor_obst
     least, most = placed.min(axis=0), placed.max(axis=0)
     if (least[:2] > high[:2]).any() or (most[:2] < low[:2]).any():
         return np.inf
-    start, end = max(0.0, least[2] - high[2]), min(moved_m, most[2] - low[2])
+    start, end = max(0.0, least[2] - high[2] + PIERCED_M), min(moved_m, most[2] - low[2])
     if end < start:
         return np.inf
     body, other = _make_model(fcl, finger), _make_model(fcl, obstacle)

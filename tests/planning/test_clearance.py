@@ -88,11 +88,20 @@ def test_the_first_hit_is_where_the_surfaces_meet():
 def test_the_soft_layer_of_a_finger_is_cut_away():
     finger = make_box_finger(SIDES_M, GEL)
     rigid = cut_gel(finger, GEL, PRESS_M)
-    assert rigid.corners_m[:, 2].max() == pytest.approx(GEL.surface_m - PRESS_M, abs=1e-5)
+    assert rigid.corners_m[:, 2].max() == pytest.approx(GEL.surface_m - PRESS_M, abs=3e-5)
     assert np.allclose(rigid.corners_m.min(axis=0), finger.corners_m.min(axis=0))
     camera = trimesh.creation.box(bounds=[[0.02, 0, 0], [0.03, 0.01, GEL.surface_m + 0.02]])
     ahead = cut_gel(TriangleMesh(np.asarray(camera.vertices), np.asarray(camera.faces)), GEL, PRESS_M)
     assert ahead.corners_m[:, 2].max() == pytest.approx(GEL.surface_m + 0.02)
+
+
+def test_the_rest_of_a_finger_is_closed_for_objects_that_are_narrower():
+    ball = trimesh.creation.icosphere(3, 0.003)
+    mesh = TriangleMesh(np.asarray(ball.vertices), np.asarray(ball.faces))
+    T = make_translation([0.0, 0.0, GEL.surface_m + 0.05])
+    rigid = cut_gel(make_box_finger(SIDES_M, GEL), GEL, PRESS_M)
+    assert find_first_hit_m(rigid, mesh, T, 0.1) == pytest.approx(0.047 + PRESS_M, abs=1.1e-3)
+    assert find_first_hit_m(rigid, mesh, T, 0.047 + PRESS_M) == np.inf
 
 
 def test_drawn_approaches_touch_with_the_gel_first(step):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from tactile_loc.commands import (
+    Obstacles,
     RunOptions,
     Store,
     Takes,
@@ -27,10 +28,8 @@ from tactile_loc.plugin import ConfigError
 from tactile_loc_touchability.words import write_place
 
 if TYPE_CHECKING:
-    from tactile_loc import Localizer
-
     from tactile_loc_touchability.details import Findings
-    from tactile_loc_touchability.study import Study
+    from tactile_loc_touchability.study import SensorSetup, Study
 
 DEFAULT_OUT, PAGE = Path("touchability"), "report.html"
 SAID = {"certain": "certain", "right": "within 1 mm"}
@@ -59,6 +58,7 @@ Out = Annotated[Path, declare("--out FOLDER", "Folder of touchability.json, repo
 Given = Annotated[
     RunOptions, Takes("units", "symmetry", "grid", "renderer", "encoder", "matcher", "refiner", "option", "seed")
 ]
+Body = Annotated[Obstacles, Takes("finger")]
 Workers = Annotated[WorkerOptions, Takes("workers", "threads")]
 
 
@@ -66,6 +66,7 @@ def touchability(
     part: Part,
     *,
     given: Given,
+    obstacles: Body,
     sensor: Sensors = None,
     press_depth: PressDepths = None,
     touches: Touches = 400,
@@ -90,10 +91,10 @@ def touchability(
     from tactile_loc_touchability.study import StudyOptions, run_studies
 
     progress = make_progress()
-    asked = list_asked(part, given, sensor, press_depth, store)
-    renderer = asked[0][0].config.renderer.name
+    setups = list_setups(part, given, sensor, press_depth, obstacles, store)
+    renderer = setups[0].localizer.config.renderer.name
     options = StudyOptions(touches, sets, float(np.radians(tilt)), noise, renderer, given.seed or 0)
-    studies = run_studies(asked, options, out, workers.choose(out), progress)
+    studies = run_studies(setups, options, out, workers.choose(out), progress)
     say_studies(studies)
     found = find_details(studies, out, workers.choose(out), progress)
     answer = give_answer(found)
@@ -103,17 +104,23 @@ def touchability(
     return {**document, "written": say_written([path, page])}
 
 
-def list_asked(
-    part: str, given: RunOptions, sensors: list[str] | None, presses_mm: list[float] | None, store: Path | None
-) -> list[tuple[Localizer, float]]:
-    """Return a localizer for each sensor, and the presses, metres. Raises ConfigError for an impossible press."""
-    from tactile_loc_touchability.study import PRESS_SHARE
+def list_setups(
+    part: str,
+    given: RunOptions,
+    sensors: list[str] | None,
+    presses_mm: list[float] | None,
+    obstacles: Obstacles,
+    store: Path | None,
+) -> list[SensorSetup]:
+    """Return each sensor with each press. Raises ConfigError for an impossible press."""
+    from tactile_loc_touchability.study import PRESS_SHARE, SensorSetup
 
-    asked: list[tuple[Localizer, float]] = []
+    setups: list[SensorSetup] = []
     names: list[str | None] = [*sensors] if sensors else [None]
     for name in names:
         config = make_config(replace(given, object=part, sensor=name))
-        localizer = open_localizer(config, store, asked[0][0].object if asked else None)
+        localizer = open_localizer(config, store, setups[0].localizer.object if setups else None)
+        clearance = obstacles.find_clearance(localizer.scene.geometry, in_base=True)
         deepest_mm = 1e3 * localizer.scene.geometry.max_depth_m
         for press_mm in presses_mm or [PRESS_SHARE * deepest_mm]:
             if not 0 < press_mm <= deepest_mm:
@@ -121,8 +128,8 @@ def list_asked(
                     f"the sensor {config.sensor.name} cannot be pressed {press_mm:g} mm deep; give `press_depth` more "
                     f"than 0 and at most {deepest_mm:.3g}"
                 )
-            asked.append((localizer, 1e-3 * press_mm))
-    return asked
+            setups.append(SensorSetup(localizer, 1e-3 * press_mm, clearance))
+    return setups
 
 
 def say_studies(studies: list[Study]) -> None:

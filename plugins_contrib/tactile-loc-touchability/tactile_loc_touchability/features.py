@@ -51,7 +51,7 @@ def try_features(study: Study, pair: ConfusedPair) -> list[TriedFeature]:
     places_m = study.presses.places_m[choose_marks(study.presses.places_m, pair.confused, TRIED)]
     before = float(pair.told.mean())
     tried = [
-        TriedFeature(kind, tuple(place.tolist()), before, float(tell_apart(study, pair.motion, changed).mean()))
+        TriedFeature(kind, tuple(place.tolist()), before, float(tell_apart(study, pair.motions, changed).mean()))
         for place in places_m
         for kind, changed in change_surface(study.localizer.object, place)
     ]

@@ -42,7 +42,7 @@ def write_document(studies: Sequence[Study], found: Findings, answer: str, out: 
 def describe_pair(pair: ConfusedPair) -> dict[str, Any]:
     """Return a pair of poses, and the shares of touches that fit both and that tell them apart."""
     return {
-        "T_object_moved": pair.motion.tolist(),
+        "T_object_moved": pair.motions.tolist(),
         "words": pair.words,
         "reason": pair.reason,
         "confused": float(pair.confused.mean()),

@@ -16,7 +16,7 @@ from tactile_loc_touchability.details import Findings
 from tactile_loc_touchability.features import RADIUS_M
 from tactile_loc_touchability.rivals import choose_marks
 from tactile_loc_touchability.study import RIGHT_M, Study
-from tactile_loc_touchability.together import REPEATED, average_nearby
+from tactile_loc_touchability.together import CONFIRMED, average_nearby
 from tactile_loc_touchability.words import write_place
 
 Floats = NDArray[np.float64]
@@ -36,7 +36,7 @@ SHARES_NOTE = (
     "results whose first pose is right. no feature: results without any touch that shows an edge or a feature."
 )
 BEST_NOTE = (
-    f"Each set was located {REPEATED} times, with other noise, and with presses off by about 1 mm and 3 degrees. The "
+    f"Each was located {CONFIRMED} times, with other noise, and with presses off by about 1 mm and 3 degrees. The "
     "sensor's poses relative to each other are known, as on a robot."
 )
 PAIRS_NOTE = (

@@ -4,15 +4,28 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc import SensorGeometry
+from tactile_loc import Approach, Clearance, PoseModes, SensorGeometry
 from tactile_loc.plugin import GridError, ObjectModel, Poses
-from tactile_loc.plugin.helpers import bring_to_contact, invert, make_transform
+from tactile_loc.plugin.helpers import bring_to_contact, invert, make_transform, make_translation
 
 Floats = NDArray[np.float64]
 
 TRIES = 8  # directions that are tried at a place
 STRATUM, BITS = 16, 8  # points of which one is taken; bits of each coordinate of a place in the order
 MOST_PLACES = 20  # places drawn at most, as a multiple of those wanted
+
+
+@dataclass(frozen=True, eq=False)
+class PressingSensor:
+    """A sensor that presses `press_m` metres deep, tilted from the surface's normal by at most `tilt_rad`.
+
+    The body that carries it must not hit the object: see `Clearance`. Without a `clearance`, only the gel is checked.
+    """
+
+    geometry: SensorGeometry
+    press_m: float
+    tilt_rad: float
+    clearance: Clearance | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,15 +45,12 @@ class Presses:
         return len(self.places_m)
 
 
-def draw_presses(
-    obj: ObjectModel, geometry: SensorGeometry, press_m: float, count: int, tilt_rad: float, rng: np.random.Generator
-) -> Presses:
-    """Draw `count` presses, `press_m` metres deep, at places drawn uniformly over the surface that a gel can touch.
+def draw_presses(obj: ObjectModel, sensor: PressingSensor, count: int, rng: np.random.Generator) -> Presses:
+    """Draw `count` presses at places drawn uniformly over the surface that a sensor can touch.
 
-    The sensor moves against the surface's normal, tilted by at most `tilt_rad`: directions are uniform in this cone,
-    and so is the turn about them. It stops at the first contact and presses. If the gel does not touch the place then,
-    because other parts of the object are in the way, another direction is tried. Raises GridError if the gel touches
-    hardly any place.
+    The sensor moves against the surface's normal, tilted: directions are uniform in a cone, and so is the turn about
+    them. It stops at the first contact and presses. If the gel does not touch the place then, because other parts of
+    the object are in the way, another direction is tried. Raises GridError if the gel touches hardly any place.
     """
     found: list[Presses] = []
     tried = 0
@@ -49,7 +59,7 @@ def draw_presses(
             raise GridError(
                 f"the sensor touches hardly any place of {obj.name}; press deeper, tilt more, or check the mesh's unit"
             )
-        found.append(_press_places(obj, geometry, press_m, *draw_places(obj, missing, rng), tilt_rad, rng))
+        found.append(_press_places(obj, sensor, *draw_places(obj, missing, rng), rng))
         tried += missing
     T, places, normals = (
         np.concatenate([getattr(one, name) for one in found]) for name in ("T_sensor_object", "places_m", "normals")
@@ -92,26 +102,41 @@ def _draw_points(obj: ObjectModel, count: int, rng: np.random.Generator) -> tupl
 
 
 def _press_places(
-    obj: ObjectModel,
-    geometry: SensorGeometry,
-    press_m: float,
-    places_m: Floats,
-    normals: Floats,
-    tilt_rad: float,
-    rng: np.random.Generator,
+    obj: ObjectModel, sensor: PressingSensor, places_m: Floats, normals: Floats, rng: np.random.Generator
 ) -> Presses:
-    """Return the presses at those of the places (N, 3) that the gel touches from one of TRIES directions."""
+    """Return the presses at those of the places (N, 3) that the sensor touches from one of TRIES directions."""
     poses, left = np.tile(np.eye(4), (len(places_m), 1, 1)), np.arange(len(places_m))
     for _ in range(TRIES):
-        T = _aim(geometry, places_m[left], _tilt(normals[left], tilt_rad, rng), rng)
-        T, touching = bring_to_contact(obj.mesh, T, geometry)
-        T[:, 2, 3] -= press_m
+        T = _aim(sensor.geometry, places_m[left], _tilt(normals[left], sensor.tilt_rad, rng), rng)
+        T, touching = bring_to_contact(obj.mesh, T, sensor.geometry)
+        T[:, 2, 3] -= sensor.press_m
         height_m = np.einsum("nj,nj->n", T[:, 2, :3], places_m[left]) + T[:, 2, 3]
-        hit = touching & (height_m < geometry.standoff_m)
+        hit = np.flatnonzero(touching & (height_m < sensor.geometry.standoff_m))
+        hit = hit[find_clear(obj, sensor, T[hit])]
         poses[left[hit]] = T[hit]
-        left = left[~hit]
+        left = np.delete(left, hit)
     kept = np.setdiff1d(np.arange(len(places_m)), left)
     return Presses(poses[kept], places_m[kept], normals[kept], len(kept) / max(1, len(places_m)))
+
+
+def find_clear(obj: ObjectModel, sensor: PressingSensor, T_sensor_object: Poses) -> NDArray[np.bool_]:
+    """Return for which presses (N, 4, 4) the body that carries the sensor hits nothing on its straight way."""
+    if sensor.clearance is None or not len(T_sensor_object):
+        return np.ones(len(T_sensor_object), bool)
+    modes = PoseModes((obj,), np.eye(4)[None], np.ones(1), sensor.geometry, sensor.press_m)
+    away_m = 2 * float(np.linalg.norm(obj.mesh.extents_m))
+    ways_m = np.full((len(T_sensor_object), 1), away_m)
+    reasons = sensor.clearance.explain(modes, list_approaches(T_sensor_object, sensor.press_m, away_m), ways_m)
+    return np.array([not reason for reason in reasons])
+
+
+def list_approaches(T_sensor_object: Poses, press_m: float, away_m: float) -> list[Approach]:
+    """Return presses (N, 4, 4) as approaches in the object's frame that start `away_m` metres before their end.
+
+    Each is named by its number.
+    """
+    starts = invert(T_sensor_object) @ make_translation([0.0, 0.0, -away_m])
+    return [Approach(T, press_m, 2 * away_m, name=str(k)) for k, T in enumerate(starts)]
 
 
 def _tilt(normals: Floats, tilt_rad: float, rng: np.random.Generator) -> Floats:

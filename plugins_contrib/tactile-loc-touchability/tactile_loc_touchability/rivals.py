@@ -8,38 +8,42 @@ places a touch separates the two poses of a motion.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc import Approach, PoseModes, choose_next_touch
+from tactile_loc import PoseModes, choose_next_touch
 from tactile_loc.commands import format_percent
 from tactile_loc.plugin import ConfigError, ObjectModel, Poses
-from tactile_loc.plugin.helpers import PoseMetric, invert, make_translation, rotation_angle
+from tactile_loc.plugin.helpers import PoseMetric, invert, rotation_angle
 
 from tactile_loc_touchability.study import Study
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 MERGED = 0.05  # motions that differ by less than this share of the diameter are one
 MOST_PAIRS = 6
 TOLD_NATS = 1.0  # a touch separates two poses if it gives at least this evidence, as for `NextTouch.alike`
 FEW = 0.1  # a smaller share of places are few
-PART_OF_TURN_RAD = np.radians(3.0)  # an angle that differs by less is a part of a turn
+OFF_DEG = 3.0  # an angle that differs by less is a part of a turn
+MOST_TURNS = 4  # about one axis, that are compared
 SMALL_TURN_RAD, ALONG = np.radians(8.0), np.cos(np.radians(15.0))
 SHIFTED = 0.05  # share of the diameter below which the centre counts as not moved
-WHOLE_TURN_PARTS = (2, 3, 4, 5, 6, 8)
+PARTS_OF_TURN = (2, 3, 4, 5, 6, 8)
 
 
 @dataclass(frozen=True, eq=False)
 class ConfusedPair:
-    """Two poses of the object that touches confuse: the second follows from the first by `motion` (4, 4), metres.
+    """Poses of the object that touches confuse: the others follow from the first by `motions` (K, 4, 4), metres.
 
-    `confused` (N,) marks the presses with this rival, and `told` (N,) those that separate the two poses.
+    The motions are one, or several turns about one axis, the most frequent first. `confused` (N,) marks the presses
+    with such a rival, and `told` (N,) those that separate the first pose from all others.
     """
 
-    motion: Poses
+    motions: Poses
     words: str
     reason: str
     confused: Bools
@@ -67,12 +71,20 @@ def find_pairs(study: Study, most: int = MOST_PAIRS) -> list[ConfusedPair]:
     owner, motions = np.array([n for n, _ in listed]), _choose_equivalents(obj, np.stack([T for _, T in listed]))
     label = merge_motions(obj, motions, MERGED * study.diameter_m)
     counts = {k: len(np.unique(owner[label == k])) for k in np.unique(label).tolist()}
-    found = []
-    for k in sorted(counts, key=lambda k: -counts[k])[:most]:
-        confused = np.isin(np.arange(len(study.rows)), owner[label == k])
-        words, reason = describe_motion(motions[k], obj, study.diameter_m)
-        found.append(ConfusedPair(motions[k], words, reason, confused, tell_apart(study, motions[k])))
-    return found
+    families: dict[Any, list[int]] = {}
+    for k in sorted(counts, key=lambda k: -counts[k]):
+        turn = find_turn(motions[k], obj, study.diameter_m)
+        families.setdefault(k if turn is None else turn[1], []).append(k)
+    found = [_make_pair(study, motions, label, owner, some[:MOST_TURNS]) for some in families.values()]
+    kept = sorted(found, key=lambda pair: -int(pair.confused.sum()))[:most]
+    return [replace(pair, told=tell_apart(study, pair.motions)) for pair in kept]
+
+
+def _make_pair(study: Study, motions: Poses, label: Ints, owner: Ints, some: Sequence[int]) -> ConfusedPair:
+    """Return the pair of some motions of one family, the most frequent first, without the places that tell it apart."""
+    confused = np.isin(np.arange(len(study.rows)), owner[np.isin(label, some)])
+    words, reason = describe_motions(motions[list(some)], study.localizer.object, study.diameter_m)
+    return ConfusedPair(motions[list(some)], words, reason, confused, np.zeros(len(study.rows), bool))
 
 
 def merge_motions(obj: ObjectModel, motions: Poses, radius_m: float) -> NDArray[np.int64]:
@@ -107,17 +119,19 @@ def _choose_equivalents(obj: ObjectModel, motions: Poses) -> Poses:
     return least
 
 
-def tell_apart(study: Study, motion: Poses, obj: ObjectModel | None = None) -> Bools:
-    """Return which presses (N,) of a study separate the pose of an object and the pose after a motion (4, 4), metres.
+def tell_apart(study: Study, motions: Poses, obj: ObjectModel | None = None) -> Bools:
+    """Return which presses (N,) of a study separate the pose of an object from those after motions (K, 4, 4), metres.
 
     `obj` replaces the object of the study, for instance by one with another feature.
     """
-    known = obj or study.localizer.object
-    geometry = study.localizer.scene.geometry
-    modes = PoseModes((known, known), np.stack([np.eye(4), motion]), np.full(2, 0.5), geometry, study.press_m)
-    told = np.zeros(len(study.presses), bool)
+    return np.asarray(np.all([_tell_two_apart(study, motion, obj or study.localizer.object) for motion in motions], 0))
+
+
+def _tell_two_apart(study: Study, motion: Poses, obj: ObjectModel) -> Bools:
+    geometry, told = study.localizer.scene.geometry, np.zeros(len(study.presses), bool)
+    modes = PoseModes((obj, obj), np.stack([np.eye(4), motion]), np.full(2, 0.5), geometry, study.press_m)
     try:
-        rated = choose_next_touch(modes, list_approaches(study)).ranked
+        rated = choose_next_touch(modes, study.list_approaches()).ranked
     except ConfigError:  # no approach is within reach
         return told
     q = 1 / (1 + np.exp(TOLD_NATS))
@@ -127,29 +141,35 @@ def tell_apart(study: Study, motion: Poses, obj: ObjectModel | None = None) -> B
     return told
 
 
-def list_approaches(study: Study) -> list[Approach]:
-    """Return the presses of a study as approaches in the object's frame, each named by its number."""
-    away_m = 2 * study.diameter_m
-    back = make_translation([0.0, 0.0, -away_m])
-    starts = invert(study.presses.T_sensor_object) @ back
-    return [Approach(T, study.press_m, 2 * away_m, name=str(k)) for k, T in enumerate(starts)]
+def find_turn(motion: Poses, obj: ObjectModel, diameter_m: float) -> tuple[float, str] | None:
+    """Return the angle, radians, and the axis of a motion (4, 4) that turns the object in place; None for others."""
+    angle = float(rotation_angle(motion[:3, :3]))
+    if angle < SMALL_TURN_RAD or np.linalg.norm(_find_shift(motion, obj)) > SHIFTED * diameter_m:
+        return None
+    axis = find_axis(motion[:3, :3])
+    return angle, name_direction(axis * np.sign(axis[np.abs(axis).argmax()]))
 
 
-def describe_motion(motion: Poses, obj: ObjectModel, diameter_m: float) -> tuple[str, str]:
-    """Return a motion (4, 4), metres, in words, and the reason why touches do not see it."""
-    angle, shift = float(rotation_angle(motion[:3, :3])), motion[:3, :3] @ obj.mesh.centroid_m + motion[:3, 3]
-    shift = shift - obj.mesh.centroid_m
+def describe_motions(motions: Poses, obj: ObjectModel, diameter_m: float) -> tuple[str, str]:
+    """Return a motion, or turns about one axis, (K, 4, 4), metres, in words, and the reason why touches miss it."""
+    turns = [find_turn(motion, obj, diameter_m) for motion in motions]
+    if turns[0] is not None:
+        angles = sorted({round(float(np.degrees(turn[0]))) for turn in turns if turn is not None})
+        listed = " or ".join(filter(None, (", ".join(map(str, angles[:-1])), str(angles[-1]))))
+        whole = [n for n in PARTS_OF_TURN if all(abs(a - round(a * n / 360) * 360 / n) < OFF_DEG for a in angles)]
+        same = f"the part is nearly the same after 1/{whole[0]} of a turn" if whole else ""
+        return f"turned by {listed} degrees about {turns[0][1]}", same or "the part is nearly round about this axis"
+    shift, R = _find_shift(motions[0], obj), motions[0, :3, :3]
     moved = f"moved by {1e3 * np.linalg.norm(shift):.1f} mm along {name_direction(shift)}"
-    if angle < SMALL_TURN_RAD:
+    if rotation_angle(R) < SMALL_TURN_RAD:
         return moved, "the surface looks alike along this direction"
-    turned = f"turned by {np.degrees(angle):.0f} degrees about {name_direction(find_axis(motion[:3, :3]))}"
-    if np.linalg.norm(shift) > SHIFTED * diameter_m:
-        return f"{turned} and {moved}", "two places of the part look alike"
-    parts = 2 * np.pi / angle
-    nearest = min(WHOLE_TURN_PARTS, key=lambda n: abs(parts - n))
-    if abs(angle - 2 * np.pi / nearest) < PART_OF_TURN_RAD:
-        return turned, f"the part is nearly the same after 1/{nearest} of a turn"
-    return turned, "the part is nearly round about this axis"
+    turned = f"turned by {np.degrees(rotation_angle(R)):.0f} degrees about {name_direction(find_axis(R))}"
+    return f"{turned} and {moved}", "two places of the part look alike"
+
+
+def _find_shift(motion: Poses, obj: ObjectModel) -> Floats:
+    """Return how a motion (4, 4) moves the object's centre, (3,), metres."""
+    return np.asarray(motion[:3, :3] @ obj.mesh.centroid_m + motion[:3, 3] - obj.mesh.centroid_m)
 
 
 def find_axis(R: Floats) -> Floats:

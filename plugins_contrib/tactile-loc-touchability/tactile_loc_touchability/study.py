@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_loc import Localizer, PoseJudge, QueuedJob, resume_jobs
+from tactile_loc import Approach, Clearance, Localizer, PoseJudge, QueuedJob, resume_jobs
 from tactile_loc.plugin import Poses, Progress, TactileLocError
 
 from tactile_loc_touchability.locating import NOTHING, LocatingSets, Row, Rows, describe_all
-from tactile_loc_touchability.presses import Presses, draw_presses
+from tactile_loc_touchability.presses import Presses, PressingSensor, draw_presses, list_approaches
 
 RIGHT_M = 1e-3  # poses with pose errors up to this are right
 PRESS_SHARE = 0.6  # of the sensor's deepest press, if no press is given
@@ -36,6 +36,15 @@ class StudyOptions:
     noise: str = "mild"
     renderer: str = "heightmap"
     seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class SensorSetup:
+    """What is studied: the localizer of an object and a sensor, the depth of presses, metres, and what it may hit."""
+
+    localizer: Localizer
+    press_m: float
+    clearance: Clearance | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +82,10 @@ class Study:
         errors = [self.diameter_m if row["error_m"] is None else row["error_m"] for row in self.rows]
         return np.minimum(errors, self.diameter_m)
 
+    def list_approaches(self) -> list[Approach]:
+        """Return the presses as approaches in the object's frame, each named by its number."""
+        return list_approaches(self.presses.T_sensor_object, self.press_m, 2 * self.diameter_m)
+
     def list_shares(self) -> list[dict[str, Any]]:
         """Return the shares that end certain, right, and without a feature, for each number of touches."""
         return [share_rows(1, self.rows), *(share_rows(n, rows) for n, rows in self.together.items())]
@@ -88,17 +101,18 @@ def share_rows(touches: int, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def run_studies(
-    asked: Sequence[tuple[Localizer, float]], options: StudyOptions, out: Path, workers: Any, progress: Progress
+    setups: Sequence[SensorSetup], options: StudyOptions, out: Path, workers: Any, progress: Progress
 ) -> list[Study]:
-    """Study an object with each of several localizers and press depths, metres, in worker processes.
+    """Study an object with each of several setups in worker processes.
 
     Finished jobs are kept in `out`, and are not done again. Raises TactileLocError if a job fails.
     """
     queue, plans = [], []
-    with progress.task("drawing presses", len(asked)) as advance:
-        for localizer, press_m in asked:
+    with progress.task("drawing presses", len(setups)) as advance:
+        for setup in setups:
+            localizer, press_m = setup.localizer, setup.press_m
             _ = localizer.places  # stored, so that no worker has to find them
-            presses, sets = draw_sets(localizer, press_m, options)
+            presses, sets = draw_sets(setup, options)
             jobs = [
                 make_job(localizer, press_m, options, (options.seed, batch), some)
                 for batch, some in enumerate(split_sets(sets))
@@ -128,10 +142,11 @@ def collect_rows(jobs: Sequence[LocatingSets], outcomes: Mapping[str, Any]) -> l
     return rows
 
 
-def draw_sets(localizer: Localizer, press_m: float, options: StudyOptions) -> tuple[Presses, list[tuple[Rows, ...]]]:
+def draw_sets(setup: SensorSetup, options: StudyOptions) -> tuple[Presses, list[tuple[Rows, ...]]]:
     """Draw presses, and return them with the sets to locate: each alone, then random sets of several of them."""
-    rng, geometry = np.random.default_rng([options.seed, 0]), localizer.scene.geometry
-    presses = draw_presses(localizer.object, geometry, press_m, options.touches, options.tilt_rad, rng)
+    rng, geometry = np.random.default_rng([options.seed, 0]), setup.localizer.scene.geometry
+    sensor = PressingSensor(geometry, setup.press_m, options.tilt_rad, setup.clearance)
+    presses = draw_presses(setup.localizer.object, sensor, options.touches, rng)
     poses = [list_numbers(T) for T in presses.T_sensor_object]
     chosen = [rng.choice(len(poses), n, replace=False) for n in TOGETHER for _ in range(options.sets)]
     return presses, [*((pose,) for pose in poses), *(tuple(poses[k] for k in some) for some in chosen)]

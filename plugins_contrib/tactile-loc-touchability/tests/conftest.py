@@ -10,7 +10,7 @@ from tactile_loc.plugin import ObjectModel
 from tactile_loc.plugin.helpers import SymmetryGroup
 
 from tactile_loc_touchability.locating import NOTHING
-from tactile_loc_touchability.presses import draw_presses
+from tactile_loc_touchability.presses import PressingSensor, draw_presses
 from tactile_loc_touchability.study import Study, StudyOptions
 
 PRESS_M = 6e-4
@@ -46,7 +46,7 @@ def make_study(localizer: Localizer, obj: ObjectModel, count: int = 60) -> Study
     """Return a study of an object with presses, whose touches fit no pose."""
     found = Localizer(localizer.config, obj, localizer.store)
     rng = np.random.default_rng(2)
-    presses = draw_presses(obj, found.scene.geometry, PRESS_M, count, np.radians(20.0), rng)
+    presses = draw_presses(obj, PressingSensor(found.scene.geometry, PRESS_M, np.radians(20.0)), count, rng)
     row = {"verdict": NOTHING, "error_m": None, "right": 0.0, "freedom": "", "rivals": []}
     return Study(found, PRESS_M, StudyOptions(count, 0), presses, [row] * count, {})
 

@@ -12,22 +12,22 @@ from tactile_loc.plugin import Progress
 from tactile_loc_touchability.details import Findings, find_details, give_answer
 from tactile_loc_touchability.files import write_document
 from tactile_loc_touchability.page import UNREACHED, draw_maps, make_touchability_page, subdivide
-from tactile_loc_touchability.study import StudyOptions, run_studies
-from tactile_loc_touchability.together import BestTouches, average_nearby
+from tactile_loc_touchability.study import SensorSetup, StudyOptions, run_studies
+from tactile_loc_touchability.together import CONFIRMED, BestTouches, average_nearby
 
 
 @pytest.fixture(scope="module")
 def found(localizer, folder) -> Findings:
     workers = LocalWorkers(1, 1, folder / "workers.log")
     options = StudyOptions(touches=20, sets=1, noise="none")
-    studies = run_studies([(localizer, 6e-4)], options, folder / "out", workers, Progress())
+    studies = run_studies([SensorSetup(localizer, 6e-4)], options, folder / "out", workers, Progress())
     return find_details(studies, folder / "out", workers, Progress())
 
 
 def test_the_best_touches_are_one_two_and_three_presses(found):
     assert [len(one.presses) for one in found.best] == [1, 2, 3]
     assert all(len(set(one.presses)) == len(one.presses) for one in found.best)
-    assert all(one.shares["sets"] == 5 for one in found.best)
+    assert all(one.shares["sets"] == CONFIRMED for one in found.best)
 
 
 def test_the_file_and_the_page_have_the_answer(found, tmp_path):
@@ -80,7 +80,7 @@ def make_rows(certain: float) -> list[dict]:
     [
         ({1: 0.9}, (), "one touch at a random place usually determines the pose"),
         ({1: 0.1, 2: 0.5, 3: 0.9}, (), "3 touches at random places usually determine the pose"),
-        ({1: 0.0, 2: 0.1}, (share(1, 0.2), share(2, 1.0)), "2 touches at the best places determine the pose"),
+        ({1: 0.0, 2: 0.1}, (share(1, 0.2), share(2, 1.0)), "2 touches at the best places determined the pose in 100 %"),
         ({1: 0.0, 2: 0.1}, (share(2, 0.1),), "up to three touches seldom determine the pose"),
         ({1: 0.0, 2: 0.5}, (), "up to three touches determine the pose in at most 50 % of the cases"),
     ],

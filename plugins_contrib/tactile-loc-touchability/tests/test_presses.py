@@ -1,13 +1,15 @@
 """Presses on a block with a pocket: where they touch, from which directions, and which places are out of reach."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
-from tactile_loc import Localizer
+from tactile_loc import Clearance, Localizer, make_box_finger
 from tactile_loc.plugin import GridError, ObjectModel, TriangleMesh
 from tactile_loc.plugin.helpers import SymmetryGroup, invert, transform_points
 
-from tactile_loc_touchability.presses import draw_places, draw_presses
+from tactile_loc_touchability.presses import PressingSensor, draw_places, draw_presses, find_clear
 
 PRESS_M, TILT_RAD = 6e-4, np.radians(20.0)
 
@@ -29,7 +31,7 @@ def geometry():
 
 @pytest.fixture(scope="module")
 def presses(block, geometry):
-    return draw_presses(block, geometry, PRESS_M, 300, TILT_RAD, np.random.default_rng(3))
+    return draw_presses(block, PressingSensor(geometry, PRESS_M, TILT_RAD), 300, np.random.default_rng(3))
 
 
 def test_places_are_on_the_surface_in_proportion_to_area(block):
@@ -63,4 +65,26 @@ def test_the_floor_of_the_pocket_is_out_of_reach(presses):
 
 def test_a_part_that_no_press_reaches_is_refused(block, geometry):
     with pytest.raises(GridError, match="hardly any place"):
-        draw_presses(block, geometry, -1e-3, 5, TILT_RAD, np.random.default_rng(0))
+        draw_presses(block, PressingSensor(geometry, -1e-3, TILT_RAD), 5, np.random.default_rng(0))
+
+
+def test_a_wide_finger_cannot_touch_the_step_below_a_wall(geometry):
+    """The gel touches a step of 24 mm beside a wall of 30 mm height, and a body of 120 mm width hits the wall."""
+    pytest.importorskip("fcl")
+    made = trimesh.boolean.union(
+        [trimesh.creation.box((60, 40, 10)), trimesh.creation.box((5, 40, 40)).apply_translation([27, 0, 15])],
+        engine="manifold",
+    )
+    mesh = TriangleMesh(1e-3 * np.asarray(made.vertices), np.asarray(made.faces, np.int64))
+    obj = ObjectModel("wall", mesh, SymmetryGroup(np.zeros(3)))
+    sensor = PressingSensor(geometry, PRESS_M, TILT_RAD)
+    presses = draw_presses(obj, sensor, 60, np.random.default_rng(1))
+    step = (np.abs(presses.places_m[:, 2] - 5e-3) < 1e-6) & (presses.places_m[:, 0] < 0.02)
+    narrow, wide = (
+        find_clear(obj, replace(sensor, clearance=Clearance(make_box_finger((side, side, 0.05), geometry))), T)
+        for side in (0.012, 0.12)
+        for T in [presses.T_sensor_object[step]]
+    )
+    assert step.sum() > 5
+    assert narrow.mean() > 0.8
+    assert wide.mean() < 0.2

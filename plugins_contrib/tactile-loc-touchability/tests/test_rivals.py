@@ -7,7 +7,7 @@ import pytest
 from tactile_loc.plugin.helpers import invert, make_transform, rotation_about
 
 from tactile_loc_touchability.features import FeatureError, change_surface, try_features
-from tactile_loc_touchability.rivals import choose_marks, describe_motion, find_pairs, merge_motions, tell_apart
+from tactile_loc_touchability.rivals import choose_marks, describe_motions, find_pairs, merge_motions, tell_apart
 
 HALF_TURN = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
 
@@ -34,7 +34,7 @@ def shift(x_mm: float) -> np.ndarray:
     ],
 )
 def test_a_motion_is_described_in_the_frame_of_the_part(plain, motion, words, reason):
-    assert describe_motion(motion, plain, 0.033) == (words, reason)
+    assert describe_motions(motion[None], plain, 0.033) == (words, reason)
 
 
 def test_a_motion_and_its_inverse_are_one_pair(plain):
@@ -44,12 +44,12 @@ def test_a_motion_and_its_inverse_are_one_pair(plain):
 
 
 def test_no_touch_tells_the_halves_of_a_plain_block_apart(study_of):
-    assert not tell_apart(study_of["plain"], HALF_TURN).any()
+    assert not tell_apart(study_of["plain"], HALF_TURN[None]).any()
 
 
 def test_the_touches_at_a_notch_or_opposite_to_it_tell_its_side(study_of):
     study = study_of["notched"]
-    told, places_m = tell_apart(study, HALF_TURN), study.presses.places_m
+    told, places_m = tell_apart(study, HALF_TURN[None]), study.presses.places_m
     at_notch = (np.abs(np.abs(places_m[:, 0]) - 0.011) < 3e-3) & (places_m[:, 2] > 2e-3)
     in_middle = np.abs(places_m[:, 0]) < 2e-3
     assert told[at_notch].mean() > 0.5
@@ -65,6 +65,17 @@ def test_pairs_are_counted_over_touches(study_of):
     assert pair.confused.sum() == 15
     assert 0 < pair.told.mean() < 0.9
     assert find_pairs(study) == []
+
+
+def test_turns_about_one_axis_are_one_family(study_of):
+    study = study_of["plain"]
+    turns = [make_transform(rotation_about([0, 0, a], np.radians(d)), np.zeros(3)) for d, a in ((40, 1), (75, -1))]
+    rivals = [{"motion": T.ravel().tolist(), "probability": 0.3} for T in (*turns, shift(6))]
+    rows = [{**row, "rivals": rivals[: 1 + k % 3]} for k, row in enumerate(study.rows)]
+    turned, moved = find_pairs(replace(study, rows=rows))
+    assert turned.words == "turned by 40 or 75 degrees about z"
+    assert turned.confused.all()
+    assert (moved.words, moved.confused.sum()) == ("moved by 6.0 mm along x", 20)
 
 
 def test_a_feature_tells_the_halves_of_a_plain_block_apart(study_of):

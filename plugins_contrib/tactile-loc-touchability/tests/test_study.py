@@ -9,7 +9,7 @@ from tactile_loc import Localizer, LocalWorkers, PoseJudge
 from tactile_loc.plugin import Progress
 
 from tactile_loc_touchability.locating import NOTHING, measure_set
-from tactile_loc_touchability.study import RIGHT_M, Study, StudyOptions, run_studies, share_rows
+from tactile_loc_touchability.study import RIGHT_M, SensorSetup, Study, StudyOptions, run_studies, share_rows
 
 FEW = StudyOptions(touches=20, sets=2, noise="none")
 PRESS_M = 6e-4
@@ -17,7 +17,7 @@ PRESS_M = 6e-4
 
 def run(localizer: Localizer, folder: Path, options: StudyOptions = FEW) -> Study:
     workers = LocalWorkers(1, 1, folder / "workers.log")
-    return run_studies([(localizer, PRESS_M)], options, folder / "out", workers, Progress())[0]
+    return run_studies([SensorSetup(localizer, PRESS_M)], options, folder / "out", workers, Progress())[0]
 
 
 @pytest.fixture(scope="module")
