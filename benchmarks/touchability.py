@@ -10,13 +10,11 @@ again.
 """
 
 import argparse
-import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from asked import ROOT, make_parser, open_asked, write_head
+from asked import ROOT, make_parser, name_asked, open_asked, write_head
 from tactile_loc_touchability.study import PRESS_SHARE, SensorSetup, Study, StudyOptions, run_studies
 
 from tactile_loc import Localizer, LocalWorkers, StageStore
@@ -52,12 +50,10 @@ def study(localizer: Localizer, options: StudyOptions, out: Path) -> Study:
 
 
 def measure(mesh: str, arguments: argparse.Namespace, out: Path) -> list[float]:
-    """Return the predicted and the found shares of a part, the chance of each, %, and the seconds of the prediction."""
+    """Return the predicted and found shares of a part and their chance, and the predicted share without feature, %."""
     localizer = open_asked(mesh, sensor=arguments.sensor, store=StageStore(out / "store"))
     asked = StudyOptions(arguments.touches, 0, noise=arguments.noise)
-    start = time.perf_counter()
     predicted = study(localizer, asked, out)
-    seconds = time.perf_counter() - start
     drawn = replace(asked, touches=arguments.found, renderer=arguments.drawn_by, seed=1)
     of, real = predicted.list_shares()[0], study(localizer, drawn, out).list_shares()[0]
     values = []
@@ -65,7 +61,7 @@ def measure(mesh: str, arguments: argparse.Namespace, out: Path) -> list[float]:
         p = (of[name] * of["sets"] + real[name] * real["sets"]) / (of["sets"] + real["sets"])
         chance = NORMAL * np.sqrt(p * (1 - p) * (1 / of["sets"] + 1 / real["sets"]))
         values += [100 * of[name], 100 * real[name], 100 * chance]
-    return [*values, 100 * of["nothing"], seconds]
+    return [*values, 100 * of["nothing"]]
 
 
 def main() -> None:
@@ -76,15 +72,14 @@ def main() -> None:
     parser.add_argument("--touches", type=int, default=400)
     parser.add_argument("--found", type=int, default=200)
     parser.add_argument("--drawn-by", default="raycast")
-    parser.add_argument("--out", type=Path, help="folder of finished touches")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "touchability", help="folder of finished touches")
     arguments = parser.parse_args()
     heads = [f"{name}: {what}" for name in ("certain", "within 1 mm") for what in ("predicted", "found", "chance")]
-    print(write_head("part", *heads, "no feature", "seconds"))
+    print(write_head("part", *heads, "no feature"))
     rows = []
-    with tempfile.TemporaryDirectory() as temporary:
-        for mesh in arguments.objects:
-            rows.append(measure(mesh, arguments, arguments.out or Path(temporary)))
-            print(f"| {Path(mesh).stem} | {' | '.join(f'{value:.1f}' for value in rows[-1])} |", flush=True)
+    for mesh in arguments.objects:
+        rows.append(measure(mesh, arguments, arguments.out))
+        print(f"| {name_asked(mesh)} | {' | '.join(f'{value:.1f}' for value in rows[-1])} |", flush=True)
     table = np.array(rows)
     off = np.abs(table[:, [0, 3]] - table[:, [1, 4]])
     print(f"\n{write_head('share', 'mean difference', 'largest', 'parts within 5 points', 'parts within chance')}")
