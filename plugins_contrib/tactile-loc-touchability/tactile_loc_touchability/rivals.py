@@ -26,6 +26,7 @@ Ints = NDArray[np.int64]
 
 MERGED = 0.05  # motions that differ by less than this share of the diameter are one
 MOST_PAIRS = 6
+SMALL_GROUP = 12  # symmetries
 TOLD_NATS = 1.0  # a touch separates two poses if it gives at least this evidence, as for `NextTouch.alike`
 FEW = 0.1  # a smaller share of places are few
 OFF_DEG = 3.0  # an angle that differs by less is a part of a turn
@@ -68,7 +69,7 @@ def find_pairs(study: Study, most: int = MOST_PAIRS) -> list[ConfusedPair]:
     if not listed:
         return []
     obj = study.localizer.object
-    owner, motions = np.array([n for n, _ in listed]), _choose_equivalents(obj, np.stack([T for _, T in listed]))
+    owner, motions = np.array([n for n, _ in listed]), choose_equivalents(obj, np.stack([T for _, T in listed]))
     label = merge_motions(obj, motions, MERGED * study.diameter_m)
     counts = {k: len(np.unique(owner[label == k])) for k in np.unique(label).tolist()}
     families: dict[Any, list[int]] = {}
@@ -107,14 +108,18 @@ def merge_motions(obj: ObjectModel, motions: Poses, radius_m: float) -> NDArray[
     return label
 
 
-def _choose_equivalents(obj: ObjectModel, motions: Poses) -> Poses:
-    """Return for each motion (K, 4, 4) the least motion that is the same by the object's symmetry."""
+def choose_equivalents(obj: ObjectModel, motions: Poses) -> Poses:
+    """Return for each motion (K, 4, 4) the least motion that is the same by the object's symmetry.
+
+    A motion after a symmetry is the same, too, which is tried only for small groups.
+    """
     metric, group = PoseMetric(obj), obj.symmetry.list_elements()
     if len(group) == 1:
         return motions
     start, least = metric.embed(np.eye(4)[None]), motions.copy()
     for k, T in enumerate(motions):
-        same = (group[:, None] @ T @ group[None]).reshape(-1, 4, 4)
+        before = group[:, None] if len(group) <= SMALL_GROUP else np.eye(4)
+        same = (before @ T @ group).reshape(-1, 4, 4)
         least[k] = same[np.linalg.norm(metric.embed(same) - start, axis=1).argmin()]
     return least
 

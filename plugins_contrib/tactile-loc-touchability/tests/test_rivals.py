@@ -4,10 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tactile_loc.plugin.helpers import invert, make_transform, rotation_about
+from tactile_loc.plugin.helpers import SymmetryGroup, invert, make_transform, rotation_about, rotation_angle
 
 from tactile_loc_touchability.features import FeatureError, change_surface, try_features
-from tactile_loc_touchability.rivals import choose_marks, describe_motions, find_pairs, merge_motions, tell_apart
+from tactile_loc_touchability.rivals import (
+    choose_equivalents,
+    choose_marks,
+    describe_motions,
+    find_pairs,
+    merge_motions,
+    tell_apart,
+)
 
 HALF_TURN = make_transform(rotation_about([0, 0, 1], np.pi), np.zeros(3))
 
@@ -41,6 +48,14 @@ def test_a_motion_and_its_inverse_are_one_pair(plain):
     motions = np.stack([shift(4), shift(-4.2), shift(12), HALF_TURN])
     assert merge_motions(plain, motions, 1.5e-3).tolist() == [0, 0, 2, 3]
     assert np.allclose(invert(shift(4)), shift(-4))
+
+
+def test_the_least_of_equivalent_motions_is_taken(plain):
+    """A turn by 170 degrees is one by 10 degrees backwards, if half a turn is a symmetry."""
+    obj = replace(plain, symmetry=SymmetryGroup.parse("z2", np.zeros(3)))
+    turn = make_transform(rotation_about([0, 0, 1], np.radians(170)), np.zeros(3))
+    (least,) = choose_equivalents(obj, turn[None])
+    assert rotation_angle(least[:3, :3]) == pytest.approx(np.radians(10))
 
 
 def test_no_touch_tells_the_halves_of_a_plain_block_apart(study_of):
