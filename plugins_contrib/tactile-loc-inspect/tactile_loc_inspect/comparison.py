@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, gaussian_filter, maximum_filter, uniform_filter
+from scipy.ndimage import binary_erosion, gaussian_filter, uniform_filter
 from tactile_loc.plugin import Scene, SensorGeometry, View
 from tactile_loc.plugin.helpers import exponential, invert, transform_points
 
@@ -294,7 +294,7 @@ def measure_roughness(depth_m: Floats) -> Floats:
 
     It is large at edges and outlines, and nearly zero on smooth slopes.
     """
-    return np.asarray(maximum_filter(np.abs(depth_m - uniform_filter(depth_m, 3)), 3))
+    return np.asarray(np.abs(depth_m - uniform_filter(depth_m, 3)))
 
 
 def measure_noise(found: Differences, rough_m: Floats) -> float:
