@@ -58,14 +58,19 @@ def measure_ambiguity(
     """
     truths = np.stack([require_true_pose(touch) for touch in touches])
     distances = _measure_shape_distances(localizer, touches, truths)
-    refiner: Refiner = registry().create("refiner", REFINER, {})
     apart_m = localizer.sampler.options.spacing_mm * 1e-3
-    judge = _Judge(localizer.scene.use_pressed_drawing(), refiner, noise)
+    judge = _Judge(localizer.scene.use_pressed_drawing(), make_refiner(), noise)
     ratios = []
     for touch, T_true, apart, rng in zip(touches, truths, distances, rngs, strict=True):
         rivals = find_rivals(localizer.listed.press_grid(touch), T_true, apart, apart_m)
         ratios.append(judge.find_ratio(touch, T_true, rivals, rng))
     return np.array(ratios)
+
+
+def make_refiner() -> Refiner:
+    """Return the refiner of the rivals."""
+    refiner: Refiner = registry().create("refiner", REFINER, {})
+    return refiner
 
 
 def find_rivals(grid: PoseGrid, T_true: Poses, apart: Float32, radius_m: float) -> Poses:

@@ -15,7 +15,8 @@ from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.ambiguity import AMBIGUOUS
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION
 from tactile_loc.evaluation.metrics import LEVELS
-from tactile_loc.evaluation.protocol import LINES, METRICS, PROTOCOL_VERSION, STAGES
+from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, STAGES
+from tactile_loc.evaluation.single_touches import METRICS
 from tactile_loc.evaluation.summary import find_median, summarise_errors
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
 from tactile_loc.evaluation.text_tables import (

@@ -1,4 +1,4 @@
-"""The paper's protocol for one simulated touch: errors of estimates, and the least errors that the grid allows."""
+"""The protocol of sweeps and of the paper for one simulated touch: errors of estimates, and the least of the grid."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Floats, Ints, Poses
 from tactile_loc.core.poses.metric import PoseGrid
-from tactile_loc.core.poses.pose_errors import compute_add_s, compute_adds, measure_pose_errors
+from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import PosePosterior
 from tactile_loc.core.runtime.progress import StageTimes
-from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
-from tactile_loc.evaluation.ambiguity import choose_judging_noise, measure_ambiguity
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS, PoseJudge, measure_posterior
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.evaluation.table import ExampleTable, name_errors
@@ -26,17 +24,15 @@ from tactile_loc.store.workspace import Workspace
 
 Arrays = Sequence[NDArray[Any]]
 
-PROTOCOL_VERSION = 4  # increase if the same localizer gets other results
+PROTOCOL_VERSION = 5  # increase if the same localizer gets other results
 LINES = ("best-1", "best-10", "best-50", "reg-1", "chosen", "reg-10", "closest", "random", "random-10")
-METRICS = ("add", "mssd", "add-s")
 STAGES = ("encode", "match", "fuse", "refine")
 TIMED = (*STAGES, "choose")  # "choose": refining the other poses of chosen and reg-10, and choosing the best
-ASKED_EVERY = 10  # step through the surface points, for ADD-S
 MOST, FEW = 50, 10  # candidates of best-50, and of best-10, chosen, reg-10 and random-10
 NEAR = 32  # grid poses nearest by root mean square distance, among which the nearest by ADD is sought
 SHARD = 25  # touches located and saved at once
 MEASURED = ("errors_m", "T_sensor_object", "seconds", "posterior_metrics")
-ARRAYS = (*MEASURED, "T_true", "ambiguity", "contact_share", "refused")
+ARRAYS = (*MEASURED, "T_true", "refused")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +44,7 @@ class TouchEvaluator:
     def measure(self, touch: Touch, rng: np.random.Generator) -> Arrays:
         """Locate a touch with a known pose and return the arrays MEASURED.
 
-        These are errors (L, M) and poses (L, 4, 4), metres, of LINES, seconds (S,) of TIMED, and POSTERIOR_METRICS.
+        These are the ADD (L,) and the poses (L, 4, 4), metres, of LINES, seconds (S,) of TIMED, and POSTERIOR_METRICS.
         `rng` draws the random poses. The time of refinement is the time for one pose. Raises TouchError without a true
         pose.
         """
@@ -59,10 +55,9 @@ class TouchEvaluator:
         top = top[np.isfinite(posterior.log_p[top])]
         guesses = rng.integers(len(posterior.grid), size=FEW)
         refined, chosen = self._refine(touch, posterior, top[:FEW], times)
-        poses = self._choose_lines(posterior.grid, truth, top, guesses, refined, chosen)
+        errors_m, poses = self._choose_lines(posterior.grid, truth, top, guesses, refined, chosen)
         seconds = np.array([times.seconds[stage] for stage in TIMED])
-        errors_m, metrics = self._measure_errors(poses, truth), measure_posterior(posterior, truth, rng)
-        return errors_m, poses, seconds, metrics
+        return errors_m, poses, seconds, measure_posterior(posterior, truth, rng)
 
     def _refine(self, touch: Touch, posterior: PosePosterior, top: Ints, times: StageTimes) -> tuple[Poses, int]:
         """Refine the grid poses `top` (K,); return them (K, 4, 4), metres, and the number of the best one.
@@ -78,12 +73,12 @@ class TouchEvaluator:
 
     def _choose_lines(
         self, grid: PoseGrid, T_true: Poses, top: Ints, guesses: Ints, refined: Poses, chosen: int
-    ) -> Poses:
-        """Return each line's pose (L, 4, 4), metres: the line's candidate nearest to the true pose by ADD."""
+    ) -> tuple[Floats, Poses]:
+        """Return the ADD (L,) and the pose (L, 4, 4), metres, of each line: its candidate nearest to the true pose."""
         near = np.argsort(grid.distances(T_true), kind="stable")[:NEAR]
         on_grid = np.concatenate([top, guesses, near])
         poses = np.concatenate([grid.T_sensor_object[on_grid], refined])
-        errors = compute_adds(self.localizer.object, self._points_m, poses, T_true)
+        errors_m = compute_adds(self.localizer.object, self._points_m, poses, T_true)
         k, n = len(top), len(on_grid)
         choices = {
             "best-1": (0, 1),
@@ -96,19 +91,8 @@ class TouchEvaluator:
             "random": (k, k + 1),
             "random-10": (k, k + FEW),
         }
-        return np.stack([poses[a + errors[a:b].argmin()] for a, b in (choices[line] for line in LINES)])
-
-    def _measure_errors(self, poses: Poses, T_true: Poses) -> Floats:
-        """Return the errors (L, M), metres, of poses (L, 4, 4); equal poses are measured only once."""
-        obj = self.localizer.object
-        distinct, where = np.unique(poses.reshape(len(poses), 16), axis=0, return_inverse=True)
-        distinct = distinct.reshape(-1, 4, 4)
-        errors = (
-            compute_adds(obj, self._points_m, distinct, T_true),
-            measure_pose_errors(obj, distinct, T_true),
-            compute_add_s(self._points_m, distinct, T_true, ASKED_EVERY),
-        )
-        return np.stack(errors, axis=1)[where.ravel()]
+        best = [a + errors_m[a:b].argmin() for a, b in (choices[line] for line in LINES)]
+        return errors_m[best], poses[best]
 
     @cached_property
     def _points_m(self) -> Floats:
@@ -118,22 +102,19 @@ class TouchEvaluator:
 def evaluate(localizer: Localizer, count: int, touches: SimulatedTouches) -> ExampleTable:
     """Locate the first `count` of the simulated touches and measure all LINES.
 
-    The table has a row for each touch, with the errors of LINES in METRICS, the columns STAGE_s (the durations of
-    TIMED), and POSTERIOR_METRICS. `T_sensor_object` (T, L, 4, 4), metres, is each line's final pose, `T_true` (T, 4, 4)
-    the true pose, and `ambiguity` the ratio of `measure_ambiguity`. `contact_share`, 0 to 1, is the share of the
-    observed pixels in contact. `refused` is the number of presses before each touch that made no touch and do not
-    count.
+    The table has a row for each touch, with the ADD of LINES, the columns STAGE_s (the durations of TIMED), and
+    POSTERIOR_METRICS. `T_sensor_object` (T, L, 4, 4), metres, is each line's final pose, and `T_true` (T, 4, 4) the
+    true pose. `refused` is the number of presses before each touch that made no touch and do not count.
 
     The result is kept in the localizer's store, in shards of SHARD touches. An interrupted evaluation resumes with the
     same errors. All encoders get the same touches and the same random poses. Raises TactileLocError if a touch cannot
     be located.
     """
-
     evaluator, key = TouchEvaluator(localizer), make_evaluation_key(localizer, count, touches)
     arrays = measure_in_shards(localizer.store, key, ARRAYS, count, SHARD, partial(_localise, evaluator, touches))
     errors_m, seconds, metrics = (arrays.pop(name) for name in ("errors_m", "seconds", "posterior_metrics"))
     columns = {
-        **name_errors(errors_m, LINES, METRICS),
+        **name_errors(errors_m[..., None], LINES, ("add",)),
         **{f"{stage}_s": seconds[:, k] for k, stage in enumerate(TIMED)},
         **{name: metrics[:, k] for k, name in enumerate(POSTERIOR_METRICS)},
         **arrays,
@@ -166,9 +147,6 @@ def _localise(evaluator: TouchEvaluator, source: SimulatedTouches, numbers: Sequ
     for touch in touches:
         localizer.listed.matcher(touch.press_depth_m)  # built now, because the time of a touch must not include it
     localizer.find_most_probable_pose(touches[0])  # libraries are loaded now, too
-    noise = make_noise(choose_judging_noise(source.noise))
-    rngs = [np.random.default_rng(source.seed_touch(number, 3)) for number in numbers]
-    ambiguity = measure_ambiguity(localizer, touches, noise, rngs)
     rows = []
     what = f"{localizer.object.name} ({localizer.config.encoder.name})"
     task = f"locating {what}, touches {numbers[0] + 1} to {numbers[-1] + 1}"
@@ -179,8 +157,6 @@ def _localise(evaluator: TouchEvaluator, source: SimulatedTouches, numbers: Sequ
     return [
         *map(np.stack, zip(*rows, strict=True)),
         np.stack([require_true_pose(touch) for touch in touches]),
-        ambiguity,
-        np.array([touch.contact_share for touch in touches]),
         np.array(refused),
     ]
 

@@ -144,7 +144,6 @@ def test_malformed_numbers_of_contacts_are_refused_in_one_sentence(cli, text):
         ("--object pin --touches file --noise mild", ["--noise", "--touches"]),
         ("--object pin --touches file --count 2", ["--count"]),
         ("--object pin --touches file --seed 0", ["--seed"]),
-        ("--object pin --paper --together 1..7", ["tactile-loc paper", "--together"]),
         ("--object pin --object hook --touches file", ["one --object"]),
         ("--object pin --out file", ["--out"]),
     ],

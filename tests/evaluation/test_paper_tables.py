@@ -12,7 +12,8 @@ from report_helpers import CONTACTS, make_contact_table, make_touch_table
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation import paper_tables
 from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES
-from tactile_loc.evaluation.protocol import LINES, METRICS
+from tactile_loc.evaluation.protocol import LINES
+from tactile_loc.evaluation.single_touches import METRICS
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable
 
 PROTOCOL = {"touches": 12, "noise": "mild", "seed": 1}

@@ -76,13 +76,8 @@ class Asked:
     encoder: Annotated[list[str] | None, declare("--encoder NAME", "Encoder; may be repeated. Default: pixel.")] = None
     out: Annotated[Path, declare("--out FOLDER", "Folder of the results and pictures.")] = Path("evaluation")
     store: options.Store = None
-    paper: Annotated[bool, declare("--paper", "The earlier name of `tactile-loc paper`.", hidden=True)] = False
 
     def __post_init__(self) -> None:
-        if self.paper:
-            raise ConfigError(
-                "`evaluate --paper` is now `tactile-loc paper`, which always takes 1 to 7 contacts, not --together"
-            )
         simulated = {"--noise": self.noise, "--count": self.count, "--seed": self.seed, "--images": self.images}
         for flag, given in simulated.items():
             if given and self.touches:
