@@ -90,7 +90,7 @@ def name_touch(number: int) -> str:
 
 
 @cache
-def find_font(size: float, style: str = "") -> ImageFont.FreeTypeFont:
+def find_font(size: int, style: str = "") -> ImageFont.FreeTypeFont:
     """Return the font that matplotlib ships, without importing matplotlib unless its files lie elsewhere."""
     name = Path("fonts", "ttf", f"DejaVuSans{'-' if style else ''}{style}.ttf")
     spec = find_spec("matplotlib")
@@ -110,10 +110,10 @@ class _Side:
     left: int
     palette: Palette
 
-    def write(self, at: Any, text: str, size: float, style: str = "", most: float = WIDTH, **look: Any) -> None:
+    def write(self, at: Any, text: str, size: int, style: str = "", most: float = WIDTH, **look: Any) -> None:
         """Write a line around a place (x, y). It is smaller if it is wider than `most` pixels less a margin."""
         while size > SMALLEST and (wide := find_font(size, style).getlength(text)) > most - 2 * GAP:
-            size = max(SMALLEST, min(size - 1, size * (most - 2 * GAP) / wide))
+            size = max(SMALLEST, min(size - 1, int(size * (most - 2 * GAP) / wide)))
         look = {"fill": self.palette.ink, "anchor": "mm"} | look
         ImageDraw.Draw(self.page).text((self.left + at[0], at[1]), text, font=find_font(size, style), **look)
 

@@ -101,15 +101,19 @@ def load_shared_libraries(*names: str) -> Facts:
 
 
 def compile_kernels() -> Facts:
-    """Prepare a small object, so that the code is compiled and kept on disk."""
+    """Prepare a small object, and draw a result, so that the code is compiled and kept on disk."""
     import tempfile
     import time
 
     from tactile_loc.locate.localizer import Localizer
+    from tactile_loc.view.one_versus_several import draw_one_versus_several
 
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        Localizer.create("damping_pin", store=folder, sensor="gelsight-mini", temperature=0.01, prepared=True)
+        chosen: dict[str, Any] = {"store": folder, "sensor": "gelsight-mini", "temperature": 0.01}
+        localizer = Localizer.create("damping_pin", prepared=True, **chosen)
+        touches = localizer.simulate_together(2)
+        draw_one_versus_several(localizer.localize(touches[:1]), localizer.localize(touches), "")
     seconds = time.perf_counter() - start
     return {"says": f"compiled and tried in {seconds:.0f} s; later runs reuse it", "seconds": seconds}
 
