@@ -105,11 +105,10 @@ def inspect(presser: Presser, part: ObjectModel, known: ObjectModel, spot: Spot,
         fits["robust"] = [one.T for one in comparison.compare_touches(views, true)]
         motion = functools.partial(inspection.measure_motion, known)
         moved_m = {name: max(map(motion, true, some)) for name, some in fits.items()}
-    greatest = np.abs(found.map.ratios[:, found.map.touches >= found.limits.touches]).max(initial=0)
-    return {
-        "found": len(found.differences), "near": len(near), "detectable_m": min(found.detectable_m, 1.0),
-        "greatest": float(greatest), "height_m": near[0].height_m if near else None, "moved_m": moved_m,
-    }  # fmt: skip
+    peak = next(iter(near), None)
+    height = [abs(peak.height_m), peak.std_m] if peak and not peak.at_least else None
+    row = {"found": len(found.differences), "near": len(near), "detectable_m": min(found.detectable_m, 1.0)}
+    return {**row, "height": height, "moved_m": moved_m}
 
 
 @dataclass(frozen=True)
@@ -162,6 +161,13 @@ def report(rows: Sequence[Mapping[str, Any]]) -> None:
                 kind = f"none; stated: within {size_mm:.2f} mm (median)"
                 cells = [f"{sum(row['found'] > 0 for row in some)} false alarms", "", "", ""]
             print(f"| {reading} | {kind} | {' | '.join(cells)} | {len(some)} |")
+    print("\n" + write_head("stated height, burrs and dents", *(f"{size} mm" for size in SIZES_MM)))
+    known = [row for row in rows if row["kind"] in KINDS[:2] and row["height"]]
+    each = [(1e-3 * size, [row["height"] for row in known if row["size_mm"] == size]) for size in SIZES_MM]
+    ratios = (f"{np.median([height for height, _ in some] or [0]) / size:.2f}" for size, some in each)
+    within = (np.mean([abs(height - size) < 2 * std for height, std in some] or [0]) for size, some in each)
+    print(f"| of the true height (median) | {' | '.join(ratios)} |")
+    print(f"| true height within +- | {' | '.join(f'{100 * share:.0f} %' for share in within)} |")
     print("\n" + write_head("pose", *(f"{size} mm" for size in SIZES_MM)))
     for name, words in (("plain", "least squares"), ("robust", "of the inspection")):
         each = [

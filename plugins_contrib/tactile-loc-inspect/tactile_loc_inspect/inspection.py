@@ -219,6 +219,9 @@ def list_differences(found: SurfaceMap, limits: Limits) -> list[Difference]:
         place = int(np.where(left, best, 0).argmax())
         k, point = int(size[place]), found.points_m[place]
         sharp = int(np.argmax(ratios[:, place] > max(limits.ratio, SHARP * best[place])))
+        # a mean over a blob is lower than the peak, by an amount that is four times as large at the next size
+        wider = min(sharp + 1, len(SIZES_M) - 1)
+        flattened = float(found.heights_m[sharp, place] - found.heights_m[wider, place]) / 3
         heights = found.heights_m[:, place] / found.heights_m[sharp, place]
         width = WIDTH * SIZES_M[int(np.flatnonzero(heights > HALF)[-1])]
         distances = np.linalg.norm(found.points_m - point, axis=1)
@@ -226,8 +229,8 @@ def list_differences(found: SurfaceMap, limits: Limits) -> list[Difference]:
             Difference(
                 point,
                 found.normals[place],
-                float(found.heights_m[sharp, place]),
-                float(found.std_m[sharp, place]),
+                float(found.heights_m[sharp, place] + flattened),
+                float(np.hypot(found.std_m[sharp, place], flattened)),
                 width,
                 bool(found.bounds[distances < width].mean() > BOUNDED),
                 int(found.support[k, place]),
