@@ -24,9 +24,10 @@ import numpy as np
 import torch
 from torch import nn
 
-from tactile_loc.evaluation.paper_tables import PAPER_LINES, find_scale_m, summarise_lines
+from tactile_loc.evaluation.paper.tables import PAPER_LINES
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.summary import find_scale_m, summarise_lines
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.plugins.encoders.moco.backbones import make_backbone
 from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe

@@ -19,9 +19,9 @@ from asked import load_asked, make_parser
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc import ExampleTable, Localizer, ObjectModel, RunConfig, StageStore
-from tactile_loc.evaluation.paper_tables import find_scale_m, summarise_lines
 from tactile_loc.evaluation.protocol import STAGES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.summary import find_scale_m, summarise_lines
 
 LINES = ("closest", "random", "best-1", "best-10", "reg-1", "chosen")
 

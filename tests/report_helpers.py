@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from tactile_loc import Localizer, Plan
-from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES
 from tactile_loc.evaluation.jobs import JobOutcome
 from tactile_loc.evaluation.metrics import METRICS as RECALL_METRICS
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
-from tactile_loc.evaluation.paper_tables import collect_contacts, collect_touches
+from tactile_loc.evaluation.paper.fusion import FUSED_LINES, FUSION_LINES
+from tactile_loc.evaluation.paper.single_touches import METRICS
+from tactile_loc.evaluation.paper.tables import collect_contacts, collect_touches
 from tactile_loc.evaluation.protocol import LINES, STAGES
 from tactile_loc.evaluation.recall.tables import collect_answers
-from tactile_loc.evaluation.single_touches import METRICS
 from tactile_loc.evaluation.sweep.combination import TIMED_LINES, TOUCHES, Combination, combine
 from tactile_loc.evaluation.sweep.sweep import MEASURED, Sweep
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, name_errors

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_loc.core.geometry.rigid import Bools, Floats
 from tactile_loc.core.poses.pose_errors import RIGHT_M
+from tactile_loc.evaluation.metrics import LEVELS
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.locate.result.verdict import REFUSED, Verdict
 
@@ -40,6 +41,37 @@ def summarise_errors(errors_m: Floats, scale_m: float) -> dict[str, float]:
         statistics = {"mean": values.mean(), "median": quantiles["median"], "std": values.std(), **quantiles}
         found |= {f"{name}_{unit}": float(value) for name, value in statistics.items()}
     return found
+
+
+def find_scale_m(table: ExampleTable, metric: str = "add") -> float:
+    """Return the mean error of a random pose of the grid, metres, by which the paper divides errors."""
+    return float(table.errors_m("random", metric).mean())
+
+
+def normalise_errors(run: ExampleTable, line: str) -> Floats:
+    """Return the ADD (E,) of a line divided by the mean ADD of a random pose, unitless."""
+    return run.errors_m(line, "add") / find_scale_m(run)
+
+
+def summarise_lines(
+    table: ExampleTable, lines: Sequence[str], metrics: Sequence[str] = ("add",)
+) -> list[dict[str, Any]]:
+    """Return a row of statistics for each object, encoder, line, metric and number of contacts."""
+    rows = []
+    for (name, encoder), run in table.group("object", "encoder").items():
+        by_contacts = run.group("touches")
+        for line, metric, (contacts,) in itertools.product(lines, metrics, by_contacts):
+            some = by_contacts[contacts,]
+            statistics = summarise_errors(some.errors_m(line, metric), find_scale_m(run, metric))
+            about = {"object": name, "encoder": encoder, "line": line, "metric": metric, "contacts": contacts}
+            alone = some.columns.get(f"{line} alone")
+            rows.append(about | statistics | {"without_common": 0 if alone is None else int(alone.sum())})
+    return rows
+
+
+def measure_coverage(table: ExampleTable) -> list[float]:
+    """Return, for each of LEVELS, the share of touches whose true pose is in the credible set of this level."""
+    return [float((table["credible_level"] <= sure).mean()) for sure in LEVELS]
 
 
 @dataclass(frozen=True)

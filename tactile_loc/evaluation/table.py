@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Floats
+from tactile_loc.core.runtime.errors import ConfigError
 
 CONSTANT = ("object", "symmetry", "encoder", "noise", "seed", "diameter_m", "grid_poses")  # columns of a run
+MOST_FUSED = 20  # touches of an example
 LABELS = ("object", "encoder", "noise", "seed", "example", "touches")
 
 
@@ -101,6 +103,14 @@ class EvaluatedRun:
 def join_runs(runs: Sequence[EvaluatedRun]) -> ExampleTable:
     """Return the examples of all runs."""
     return ExampleTable.join(run.table for run in runs)
+
+
+def sort_numbers(given: Sequence[int], what: str) -> tuple[int, ...]:
+    """Return numbers of touches in ascending order. Raises ConfigError unless all are from 1 to MOST_FUSED."""
+    numbers = tuple(sorted(set(given)))
+    if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
+        raise ConfigError(f"the numbers of {what} cannot be {list(given)}; give numbers from 1 to {MOST_FUSED}")
+    return numbers
 
 
 def name_errors(errors_m: Floats, lines: Sequence[str], metrics: Sequence[str]) -> dict[str, Any]:

@@ -9,10 +9,11 @@ import numpy as np
 from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.evaluation import metrics, paper_tables
+from tactile_loc.evaluation import metrics
+from tactile_loc.evaluation.paper import tables as paper_tables
+from tactile_loc.evaluation.paper.single_touches import METRICS
 from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.evaluation.recall import tables
-from tactile_loc.evaluation.single_touches import METRICS
 from tactile_loc.evaluation.summary import VERDICTS, bin_probabilities
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.evaluation.text_tables import format_share

@@ -12,11 +12,18 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.formatting import format_millimetres
 from tactile_loc.evaluation.metrics import LEVELS
-from tactile_loc.evaluation.paper_tables import find_scale_m, measure_coverage, normalise_errors, summarise_lines
 from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.evaluation.recall.tables import name_noise
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.summary import WITHIN_M, bin_probabilities, measure_recall
+from tactile_loc.evaluation.summary import (
+    WITHIN_M,
+    bin_probabilities,
+    find_scale_m,
+    measure_coverage,
+    measure_recall,
+    normalise_errors,
+    summarise_lines,
+)
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.shape_pictures import OUTLINE
 from tactile_loc.locate.localizer import Localizer

@@ -13,9 +13,9 @@ from tactile_loc_cli.evaluate.jobs import Asked, list_jobs
 from tactile_loc_cli.options import RunOptions
 
 from tactile_loc.data import DEMO_OBJECTS
-from tactile_loc.evaluation import fusion
-from tactile_loc.evaluation.fusion import FUSION_VERSION
-from tactile_loc.evaluation.paper_tables import PUBLISHED
+from tactile_loc.evaluation.paper import fusion
+from tactile_loc.evaluation.paper.fusion import FUSION_VERSION
+from tactile_loc.evaluation.paper.tables import PUBLISHED
 from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, TouchEvaluator
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 

@@ -8,7 +8,6 @@ from message_helpers import naming
 
 from tactile_loc import ExampleTable, Localizer, PoseJudge, StageKey, StageStore
 from tactile_loc.core.poses.pose_errors import compute_adds
-from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
 from tactile_loc.evaluation.protocol import (
     LINES,
     STAGES,
@@ -18,6 +17,7 @@ from tactile_loc.evaluation.protocol import (
     measure_in_shards,
 )
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.summary import find_scale_m, normalise_errors
 from tactile_loc.plugin import ConfigError, TouchError
 
 COUNT = 6

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from report_helpers import CONTACTS, make_contact_table, make_recall_runs, make_touch_table
 
-from tactile_loc.evaluation.fusion import FUSED_LINES
-from tactile_loc.evaluation.paper_tables import summarise_lines
+from tactile_loc.evaluation.paper.fusion import FUSED_LINES
 from tactile_loc.evaluation.protocol import LINES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.summary import summarise_lines
 from tactile_loc.evaluation.table import ExampleTable, join_runs
 from tactile_loc.reports.evaluation_figures import (
     DRAWN,

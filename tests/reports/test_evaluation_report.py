@@ -7,7 +7,7 @@ import pytest
 from report_helpers import Elements, html_of, page_in
 
 from tactile_loc.core.runtime.errors import ResultError
-from tactile_loc.evaluation import paper_tables
+from tactile_loc.evaluation.paper import tables as paper_tables
 from tactile_loc.evaluation.table import ExampleTable
 
 

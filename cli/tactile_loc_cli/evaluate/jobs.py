@@ -98,7 +98,7 @@ class Asked:
     @property
     def numbers(self) -> tuple[int, ...] | None:
         """The given numbers of touches in ascending order. Raises ConfigError if they cannot be read."""
-        from tactile_loc.evaluation.fusion import MOST_FUSED
+        from tactile_loc.evaluation.table import MOST_FUSED
 
         if self.together is None:
             return None

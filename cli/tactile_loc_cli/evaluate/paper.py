@@ -74,7 +74,7 @@ def paper(*, given: Given, asked: Chosen, quick: Quick = False, out: Out = Path(
     The results stand beside the paper's own numbers, where the object resembles one of its objects
     (docs/evaluation.md). After an interruption, the same command resumes.
     """
-    from tactile_loc.evaluation.paper_tables import collect_paper
+    from tactile_loc.evaluation.paper.tables import collect_paper
 
     require_writable(out)
     plan, given = _make_plan(given, asked, quick, out), _choose_grid(given, quick)
@@ -141,7 +141,7 @@ class _Plan:
 
     def locate_touches(self, localizer: Localizer) -> EvaluatedRun:
         """Locate single touches, draw their gallery, and return the results."""
-        from tactile_loc.evaluation.single_touches import evaluate_touches
+        from tactile_loc.evaluation.paper.single_touches import evaluate_touches
         from tactile_loc.evaluation.table import EvaluatedRun
         from tactile_loc.reports.evaluation_figures import draw_gallery
         from tactile_loc.view.pictures import save_figure
@@ -154,7 +154,7 @@ class _Plan:
 
     def locate_contacts(self, localizer: Localizer) -> EvaluatedRun:
         """Locate the examples of several contacts, and return the results."""
-        from tactile_loc.evaluation.fusion import evaluate_fusion
+        from tactile_loc.evaluation.paper.fusion import evaluate_fusion
         from tactile_loc.evaluation.table import EvaluatedRun
 
         table = evaluate_fusion(localizer, CONTACTS, self.examples, self.source)
@@ -171,7 +171,7 @@ def _name_gallery(name: str, encoder: str) -> str:
 
 def _report_touches(plan: _Plan, runs: Sequence[EvaluatedRun]) -> list[Path]:
     """Write the results from one touch and their pictures, show the medians in mm, and return the paths."""
-    from tactile_loc.evaluation.paper_tables import collect_touches
+    from tactile_loc.evaluation.paper.tables import collect_touches
     from tactile_loc.evaluation.table import join_runs
     from tactile_loc.reports.evaluation_figures import draw_reliability, draw_violins
 
@@ -187,7 +187,7 @@ def _report_touches(plan: _Plan, runs: Sequence[EvaluatedRun]) -> list[Path]:
 
 def _report_contacts(plan: _Plan, runs: Sequence[EvaluatedRun]) -> list[Path]:
     """Write the results by number of contacts and their picture, and return the paths."""
-    from tactile_loc.evaluation.paper_tables import collect_contacts
+    from tactile_loc.evaluation.paper.tables import collect_contacts
     from tactile_loc.evaluation.table import join_runs
     from tactile_loc.reports.evaluation_figures import draw_contacts
 

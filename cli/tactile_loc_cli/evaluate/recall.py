@@ -76,8 +76,8 @@ def _evaluate_own(
 
     Raises ConfigError unless their object is given, and only one object.
     """
-    from tactile_loc.evaluation.fusion import MOST_FUSED
     from tactile_loc.evaluation.recall.examples import LabelledExamples
+    from tactile_loc.evaluation.table import MOST_FUSED
 
     numbers, jobs = asked.numbers, list_jobs(given, asked, None)
     options.require_object(jobs[0][0], f"--touches {touches[0]}")

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Floats, Poses, invert
 from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.core.runtime.errors import GridError, TouchError
-from tactile_loc.evaluation.fusion import sort_numbers
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
 from tactile_loc.evaluation.protocol import measure_in_shards
 from tactile_loc.evaluation.recall.examples import ExampleSource, TouchedExample
 from tactile_loc.evaluation.simulated_touches import require_true_pose
-from tactile_loc.evaluation.table import ExampleTable, name_errors
+from tactile_loc.evaluation.table import ExampleTable, name_errors, sort_numbers
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability.outcome_model import load_outcome_model
 from tactile_loc.locate.result.freedom import explain_as_well

@@ -16,9 +16,9 @@ from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.evaluation import protocol
 from tactile_loc.evaluation.metrics import LEVELS
-from tactile_loc.evaluation.paper_tables import measure_coverage, summarise_lines
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, evaluate, make_evaluation_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.summary import measure_coverage, summarise_lines
 from tactile_loc.evaluation.sweep.plan import Plan
 from tactile_loc.evaluation.sweep.uncertainty import estimate_median
 from tactile_loc.evaluation.table import ExampleTable

@@ -13,12 +13,11 @@ from tactile_loc.core.poses.candidate import Candidate
 from tactile_loc.core.poses.pose_errors import compute_adds
 from tactile_loc.core.poses.posterior import PosePosterior, require_pose_left
 from tactile_loc.core.runtime.compiled import use_one_blas_thread
-from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.metrics import PoseJudge
 from tactile_loc.evaluation.protocol import describe_located, label_run, measure_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
-from tactile_loc.evaluation.table import ExampleTable, name_errors
+from tactile_loc.evaluation.table import MOST_FUSED, ExampleTable, name_errors, sort_numbers
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.slots.fuser import Fuser
 from tactile_loc.slots.registry import registry
@@ -27,7 +26,6 @@ from tactile_loc.store.keys import StageKey
 FUSION_VERSION = 3  # increase if the same localizer gets other results
 FUSION_LINES = ("best-1", "reg-1", "kinematic", "random")
 FUSED_LINES = FUSION_LINES[:3]
-MOST_FUSED = 20
 SHARD = 10  # examples located and saved at once
 ARRAYS = ("errors_m", "alone", "refused")
 
@@ -63,14 +61,6 @@ def evaluate_fusion(
         touches=np.tile(numbers, count),
         refused=np.repeat(refused, len(numbers)),
     )
-
-
-def sort_numbers(given: Sequence[int], what: str) -> tuple[int, ...]:
-    """Return numbers of touches in ascending order. Raises ConfigError unless all are from 1 to MOST_FUSED."""
-    numbers = tuple(sorted(set(given)))
-    if not numbers or not 1 <= numbers[0] <= numbers[-1] <= MOST_FUSED:
-        raise ConfigError(f"the numbers of {what} cannot be {list(given)}; give numbers from 1 to {MOST_FUSED}")
-    return numbers
 
 
 def make_fusion_key(localizer: Localizer, contacts: Sequence[int], count: int, touches: SimulatedTouches) -> StageKey:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Floats, Poses
 from tactile_loc.core.poses.pose_errors import compute_add_s, measure_pose_errors
 from tactile_loc.core.sensing.noise import make_noise
-from tactile_loc.evaluation.ambiguity import choose_judging_noise, make_refiner, measure_ambiguity
 from tactile_loc.evaluation.metrics import PoseJudge
+from tactile_loc.evaluation.paper.ambiguity import choose_judging_noise, make_refiner, measure_ambiguity
 from tactile_loc.evaluation.protocol import LINES, SHARD, evaluate, measure_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.table import ExampleTable, name_errors

@@ -6,9 +6,10 @@ from message_helpers import naming
 
 from tactile_loc import ExampleTable, Localizer, PosePosterior, StageStore
 from tactile_loc.core.poses.pose_errors import compute_adds
-from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, MOST_FUSED, evaluate_fusion, make_fusion_key
-from tactile_loc.evaluation.paper_tables import find_scale_m, normalise_errors
+from tactile_loc.evaluation.paper.fusion import FUSED_LINES, FUSION_LINES, evaluate_fusion, make_fusion_key
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.summary import find_scale_m, normalise_errors
+from tactile_loc.evaluation.table import MOST_FUSED
 from tactile_loc.plugin import ConfigError, NoPoseLeft
 from tactile_loc.plugin.helpers import invert
 from tactile_loc.plugins.fusers.kinematic import KinematicFuser

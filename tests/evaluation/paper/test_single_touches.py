@@ -6,11 +6,11 @@ import pytest
 
 from tactile_loc import ExampleTable, Localizer
 from tactile_loc.core.poses.pose_errors import compute_add_s
-from tactile_loc.evaluation import single_touches
 from tactile_loc.evaluation.metrics import PoseJudge
+from tactile_loc.evaluation.paper import single_touches
+from tactile_loc.evaluation.paper.single_touches import METRICS, evaluate_touches, make_judgement_key
 from tactile_loc.evaluation.protocol import LINES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.single_touches import METRICS, evaluate_touches, make_judgement_key
 
 COUNT, TOUCHES = 4, SimulatedTouches("strong", 3)
 

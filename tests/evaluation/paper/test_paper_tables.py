@@ -10,10 +10,11 @@ from message_helpers import missing
 from report_helpers import CONTACTS, make_contact_table, make_touch_table
 
 from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.evaluation import paper_tables
-from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES
+from tactile_loc.evaluation.paper import tables as paper_tables
+from tactile_loc.evaluation.paper.fusion import FUSED_LINES, FUSION_LINES
+from tactile_loc.evaluation.paper.single_touches import METRICS
 from tactile_loc.evaluation.protocol import LINES
-from tactile_loc.evaluation.single_touches import METRICS
+from tactile_loc.evaluation.summary import summarise_lines
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable
 
 PROTOCOL = {"touches": 12, "noise": "mild", "seed": 1}
@@ -128,7 +129,7 @@ def test_contacts_have_their_medians_in_every_file(tmp_path):
     written = paper_tables.collect_contacts(list(map(EvaluatedRun, tables)), {"examples": 40}, "Title").write(tmp_path)
     assert [path.name for path in written] == ["contacts.json", "contacts.csv", "contacts.md"]
     table, (document, rows, text) = tables[0], (path.read_text() for path in written)
-    header, best, _, kinematic, *_ = paper_tables.tabulate_contacts(paper_tables.summarise_lines(table, FUSED_LINES))
+    header, best, _, kinematic, *_ = paper_tables.tabulate_contacts(summarise_lines(table, FUSED_LINES))
     assert header == ["object", "encoder", "line", "1 contact", "2 contacts", "5 contacts"]
     assert (best[:3], kinematic[:3]) == (["pin", "pixel", "best-1"], ["pin", "pixel", "kinematic"])
     scale_m = table.errors_m("random", "add").mean()

@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.formatting import format_mm
-from tactile_loc.evaluation.ambiguity import AMBIGUOUS
-from tactile_loc.evaluation.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION
 from tactile_loc.evaluation.metrics import LEVELS
+from tactile_loc.evaluation.paper.ambiguity import AMBIGUOUS
+from tactile_loc.evaluation.paper.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION
+from tactile_loc.evaluation.paper.single_touches import METRICS
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, STAGES
-from tactile_loc.evaluation.single_touches import METRICS
-from tactile_loc.evaluation.summary import find_median, summarise_errors
+from tactile_loc.evaluation.summary import find_median, find_scale_m, measure_coverage, summarise_lines
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
 from tactile_loc.evaluation.text_tables import (
     EvaluationResults,
@@ -73,30 +72,6 @@ BY_LINE = (
 BY_CONTACTS = "The same by number of contacts:"
 
 
-def find_scale_m(table: ExampleTable, metric: str = "add") -> float:
-    """Return the mean error of a random pose of the grid, metres, by which the paper divides errors."""
-    return float(table.errors_m("random", metric).mean())
-
-
-def normalise_errors(run: ExampleTable, line: str) -> Floats:
-    """Return the ADD (E,) of a line divided by the mean ADD of a random pose, unitless."""
-    return run.errors_m(line, "add") / find_scale_m(run)
-
-
-def summarise_lines(table: ExampleTable, lines: Sequence[str], metrics: Sequence[str] = ("add",)) -> list[Row]:
-    """Return a row of statistics for each object, encoder, line, metric and number of contacts."""
-    rows = []
-    for (name, encoder), run in table.group("object", "encoder").items():
-        by_contacts = run.group("touches")
-        for line, metric, (contacts,) in itertools.product(lines, metrics, by_contacts):
-            some = by_contacts[contacts,]
-            statistics = summarise_errors(some.errors_m(line, metric), find_scale_m(run, metric))
-            about = {"object": name, "encoder": encoder, "line": line, "metric": metric, "contacts": contacts}
-            alone = some.columns.get(f"{line} alone")
-            rows.append(about | statistics | {"without_common": 0 if alone is None else int(alone.sum())})
-    return rows
-
-
 def summarise_touches(table: ExampleTable) -> list[Row]:
     """Return a row for each object and encoder: ambiguity, contact areas, median times, and means of the posteriors.
 
@@ -125,11 +100,6 @@ def summarise_touches(table: ExampleTable) -> list[Row]:
             }
         )
     return rows
-
-
-def measure_coverage(table: ExampleTable) -> list[float]:
-    """Return, for each of LEVELS, the share of touches whose true pose is in the credible set of this level."""
-    return [float((table["credible_level"] <= sure).mean()) for sure in LEVELS]
 
 
 def _group_areas(run: ExampleTable) -> Iterator[Row]:

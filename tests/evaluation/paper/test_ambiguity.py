@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from tactile_loc import ContactShape, Localizer, RunConfig, Touch
 from tactile_loc.core.sensing.noise import NOISE
-from tactile_loc.evaluation.ambiguity import (
+from tactile_loc.evaluation.paper.ambiguity import (
     DISTANT_M,
     RIVALS,
     choose_judging_noise,
