@@ -10,7 +10,7 @@ PYTEST_FLAGS ?= -q -n 2 --dist loadfile --no-loadscope-reorder
 # The slow tests take as long as all others. They train, kill and start many processes.
 SLOW ?= not slow
 # The packages with further commands, which are installed from this tree.
-ANNEXES := $(patsubst %/pyproject.toml,./%,$(wildcard $(foreach name,app benchmark inspect library touchability,plugins_contrib/tactile-loc-$(name)/pyproject.toml)))
+ANNEXES := $(patsubst %/pyproject.toml,./%,$(wildcard $(foreach name,app benchmark inspect library test-object touchability,plugins_contrib/tactile-loc-$(name)/pyproject.toml)))
 
 # ROS and others put their own packages, such as pytest plugins, before ours. Compiled modules are kept, because the tests
 # start hundreds of processes.

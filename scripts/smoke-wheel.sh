@@ -76,6 +76,7 @@ annex app
 annex benchmark
 annex inspect
 annex library
+annex test-object
 annex touchability
 needs camera live --camera 0 --object hook --port 0
 needs clearance next-touch result --around 3 --finger 32x28x24mm --out refused
@@ -95,7 +96,7 @@ needs view run --rerun refused.rrd --out refused
 # The annexes are built and installed from a copy of the tree, without their libraries, and add their commands.
 for folder in "$tree"/plugins_contrib/tactile-loc-app "$tree"/plugins_contrib/tactile-loc-benchmark \
     "$tree"/plugins_contrib/tactile-loc-inspect "$tree"/plugins_contrib/tactile-loc-library \
-    "$tree"/plugins_contrib/tactile-loc-touchability; do
+    "$tree"/plugins_contrib/tactile-loc-test-object "$tree"/plugins_contrib/tactile-loc-touchability; do
     [ -e "$folder/pyproject.toml" ] || continue
     name=$(basename "$folder")
     say "building and installing $name"

@@ -46,6 +46,7 @@ ELSEWHERE = {
     "app.md": "test_app_command.py",
     "benchmark.md": "test_docs_benchmark.py",
     "inspect.md": "test_inspect_page.py",
+    "test-object.md": "test_test_object_page.py",
     "touchability.md": "test_touchability_page.py",
 }
 PAGES = sorted(p.name for p in DOCS.glob("*.md") if p.name not in ELSEWHERE)

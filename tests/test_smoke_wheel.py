@@ -36,7 +36,7 @@ doctor) exit {doctor} ;;
 --version) ;;
 --help) echo "Commands of tactile-loc-app, Commands of tactile-loc-benchmark" && \
     echo "Commands of tactile-loc-inspect, Commands of tactile-loc-library" && \
-    echo "Commands of tactile-loc-touchability" ;;
+    echo "Commands of tactile-loc-test-object, Commands of tactile-loc-touchability" ;;
 *--camera*) refuse camera ;;
 benchmark*) refuse benchmark ;;
 *--finger*) refuse clearance ;;
@@ -47,6 +47,7 @@ benchmark*) refuse benchmark ;;
 *raycast*|*pyrender*) refuse render ;;
 inspect*) refuse inspect ;;
 library*) refuse library ;;
+test-object*) refuse test-object ;;
 touchability*) refuse touchability ;;
 *moco*) refuse learned ;;
 replay*) refuse recordings ;;

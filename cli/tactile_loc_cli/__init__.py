@@ -29,6 +29,7 @@ ANNEXES = {
     "benchmark": "tactile-loc-benchmark",
     "inspect": "tactile-loc-inspect",
     "library": "tactile-loc-library",
+    "test-object": "tactile-loc-test-object",
     "touchability": "tactile-loc-touchability",
 }
 KINDS_OF_ANNEXES = {"method": "tactile-loc-benchmark", "touch-source": "tactile-loc-benchmark"}

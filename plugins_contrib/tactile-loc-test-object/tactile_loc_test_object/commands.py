@@ -94,7 +94,7 @@ def score(
     config = make_config(replace(given, object=None))
     localizer = open_localizer(config, store, make_object())
     found = score_photos(localizer, photos, math.radians(int(turn)), make_progress())
-    document = found.to_json(config.sensor.model_dump(mode="json"))
+    document = found.to_json(Path(given.sensor or config.sensor.name).name)
     for line in found.describe():
         say(line)
     rows = found.list_rows()

@@ -167,8 +167,8 @@ class Score:
             rows.append([press.photo.path.name, place.name, state, points, f"{place.feature:g}", *cells])
         return [header, *rows]
 
-    def to_row(self, sensor: dict[str, Any]) -> dict[str, Any]:
-        """Return the row for a table of sensors, as JSON values; lengths in mm. `sensor` describes the sensor."""
+    def to_row(self, sensor: str) -> dict[str, Any]:
+        """Return the row for a table of sensors, as JSON values; lengths in mm. `sensor` is the sensor's name."""
         return {
             "schema_version": SCHEMA_VERSION,
             "test_object": VERSION,
@@ -186,7 +186,7 @@ class Score:
             "between_places_mm": _round_mm(self.between_places_m),
         }
 
-    def to_json(self, sensor: dict[str, Any]) -> dict[str, Any]:
+    def to_json(self, sensor: str) -> dict[str, Any]:
         """Return the row, the middle of the sensor, and all presses, as JSON values."""
         presses = []
         for press in self.presses:

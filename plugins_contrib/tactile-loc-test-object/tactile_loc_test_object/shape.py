@@ -27,7 +27,8 @@ RADIUS = 5.0  # of the circle about each place's centre that holds its shape
 CORNER, NUMBER = 0.8, 0.6  # heights of the raised corner and of the numbers
 LINE, LINE_DEPTH, NOTCH = 0.6, 0.4, 1.0  # width and depth of the centre lines, and depth of the notches
 STROKE, DIGIT = 1.0, (3.0, 5.0)  # line width of the numbers, and width and height of a digit
-STEP, CROWN = 0.2, 20.0  # height of steps, and radius of the crowned triangle
+STEP, RAMP, CROWN = 0.2, 0.6, 20.0  # height of steps, length of the ramp of the L, radius of the crowned triangle
+MERGED = 1e-3  # shorter edges are merged, so that rounded files stay watertight
 ROUND = 0.003  # most distance of a circle's chords from the circle
 SEGMENTS_OF_DIGITS = ("abcdef", "bc", "abdeg", "abcdg", "bcfg", "acdfg", "acdefg", "abc", "abcdefg", "abcdfg")
 
@@ -99,7 +100,7 @@ def make_solid() -> Manifold:
         _write_number(place.number).translate((place.x - RADIUS - 0.5, place.y - RADIUS - 0.7 - DIGIT[1], 0))
         for place in PLACES
     ]
-    return Manifold.batch_boolean(parts, OpType.Add)
+    return Manifold.batch_boolean(parts, OpType.Add).simplify(MERGED)
 
 
 def _box(x: float, y: float, width: float, height: float, bottom: float, top: float) -> Manifold:
@@ -193,8 +194,13 @@ def _make_roof() -> Manifold:
 
 
 def _make_step() -> Manifold:
-    high = _extrude([(-3.5, -3.2), (3.5, -3.2), (3.5, -0.7), (-1.0, -0.7), (-1.0, 2.8), (-3.5, 2.8)])
-    return high + _extrude([(-3.5, -3.2), (3.5, -3.2), (3.5, 2.8), (-3.5, 2.8)], TOP - STEP)
+    """Return an L on a block. The L's inner sides are ramps, so that the gel follows them."""
+    low, bars = TOP - STEP, []
+    for (x0, x1, y0, y1), (dx, dy) in (((-3.5, 3.5, -3.2, -0.7), (0, RAMP)), ((-3.5, -1.0, -3.2, 2.8), (RAMP, 0))):
+        top = [(x, y, TOP) for x in (x0, x1) for y in (y0, y1)]
+        base = [(x, y, z) for x in (x0, x1 + dx) for y in (y0, y1 + dy) for z in (-0.5, low)]
+        bars.append(Manifold.hull_points(np.array(top + base, float)))
+    return bars[0] + bars[1] + _box(-3.5, -3.2, 7.0, 6.0, -0.5, low)
 
 
 def _make_cylinder() -> Manifold:
