@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import TriangleMesh
-from tactile_loc.commands import format_mm, format_percent
+from tactile_loc.commands import format_percent
 from tactile_loc.plugin import ObjectModel, TactileLocError
 from tactile_loc.plugin.helpers import SymmetryGroup
 
 from tactile_loc_touchability.rivals import ConfusedPair, choose_marks, tell_apart
 from tactile_loc_touchability.study import Study
+from tactile_loc_touchability.words import write_place
 
 RADIUS_M = 1e-3  # of the ball that is added or removed
 KINDS = {"dimple": "difference", "bump": "union"}
@@ -35,11 +36,10 @@ class TriedFeature:
 
     def describe(self) -> str:
         """Return the feature and its gain in words."""
-        x, y, z = (format_mm(v) for v in self.place_m)
         shares = f"from {format_percent(self.before)} to {format_percent(self.after)}"
         return (
-            f"a {self.kind} of {format_mm(2 * RADIUS_M)} mm diameter at ({x}, {y}, {z}) mm raises the share of places "
-            f"that tell these poses apart {shares}"
+            f"a {self.kind} of {2e3 * RADIUS_M:g} mm diameter at {write_place(self.place_m)} mm raises the share of "
+            f"places that tell the poses of pair 1 apart {shares}"
         )
 
 

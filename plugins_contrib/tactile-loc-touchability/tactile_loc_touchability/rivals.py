@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from tactile_loc.plugin import ConfigError, ObjectModel, Poses
 from tactile_loc.plugin.helpers import PoseMetric, invert, rotation_angle
 
 from tactile_loc_touchability.study import Study
+from tactile_loc_touchability.words import write_place
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -32,7 +32,8 @@ FEW = 0.1  # a smaller share of places are few
 OFF_DEG = 3.0  # an angle that differs by less is a part of a turn
 MOST_TURNS = 4  # about one axis, that are compared
 SMALL_TURN_RAD, ALONG = np.radians(8.0), np.cos(np.radians(15.0))
-SHIFTED = 0.05  # share of the diameter below which the centre counts as not moved
+SHIFTED = 0.05  # shares of the diameter: a smaller shift along the axis does not count,
+FAR, NEAR_LINES = 2.0, 0.1  # a line is no axis if it is farther off, and lines that are nearer are one
 PARTS_OF_TURN = (2, 3, 4, 5, 6, 8)
 
 
@@ -54,13 +55,13 @@ class ConfusedPair:
         """Return the pair, the reason and the places in words."""
         share, told = format_percent(float(self.confused.mean())), format_percent(float(self.told.mean()))
         where = (
-            "no simulated touch tells the two poses apart"
+            "no simulated touch tells them apart"
             if not self.told.any()
-            else f"only {told} of the places tell the two poses apart"
+            else f"only {told} of the places tell them apart"
             if self.told.mean() < FEW
-            else f"{told} of the places tell the two poses apart"
+            else f"{told} of the places tell them apart"
         )
-        return f"{self.words}: {share} of the touches fit both poses ({self.reason}); {where}"
+        return f"{self.words}: {share} of the touches fit the poses equally well ({self.reason}); {where}"
 
 
 def find_pairs(study: Study, most: int = MOST_PAIRS) -> list[ConfusedPair]:
@@ -72,11 +73,15 @@ def find_pairs(study: Study, most: int = MOST_PAIRS) -> list[ConfusedPair]:
     owner, motions = np.array([n for n, _ in listed]), choose_equivalents(obj, np.stack([T for _, T in listed]))
     label = merge_motions(obj, motions, MERGED * study.diameter_m)
     counts = {k: len(np.unique(owner[label == k])) for k in np.unique(label).tolist()}
-    families: dict[Any, list[int]] = {}
+    families: list[tuple[Turn | None, list[int]]] = []
     for k in sorted(counts, key=lambda k: -counts[k]):
         turn = find_turn(motions[k], obj, study.diameter_m)
-        families.setdefault(k if turn is None else turn[1], []).append(k)
-    found = [_make_pair(study, motions, label, owner, some[:MOST_TURNS]) for some in families.values()]
+        alike = [some for other, some in families if turn and other and other.shares_axis(turn)]
+        if alike:
+            alike[0].append(k)
+        else:
+            families.append((turn, [k]))
+    found = [_make_pair(study, motions, label, owner, some[:MOST_TURNS]) for _, some in families]
     kept = sorted(found, key=lambda pair: -int(pair.confused.sum()))[:most]
     return [replace(pair, told=tell_apart(study, pair.motions)) for pair in kept]
 
@@ -146,28 +151,61 @@ def _tell_two_apart(study: Study, motion: Poses, obj: ObjectModel) -> Bools:
     return told
 
 
-def find_turn(motion: Poses, obj: ObjectModel, diameter_m: float) -> tuple[float, str] | None:
-    """Return the angle, radians, and the axis of a motion (4, 4) that turns the object in place; None for others."""
-    angle = float(rotation_angle(motion[:3, :3]))
-    if angle < SMALL_TURN_RAD or np.linalg.norm(_find_shift(motion, obj)) > SHIFTED * diameter_m:
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """A turn by an angle about a line: the `axis` (3,), unitless, through a point (3,), metres, near the centre.
+
+    Lines that are within `near_m` of each other, and point alike, are one.
+    """
+
+    angle_rad: float
+    axis: Floats
+    point_m: Floats
+    near_m: float
+
+    def shares_axis(self, other: Turn) -> bool:
+        """Return whether another turn is about the same line."""
+        return bool(abs(self.axis @ other.axis) >= ALONG and np.linalg.norm(self.point_m - other.point_m) < self.near_m)
+
+    def name_axis(self, centre_m: Floats) -> str:
+        """Return the line in words; its point is left out if it is near the object's centre."""
+        name = name_direction(self.axis * np.sign(self.axis[np.abs(self.axis).argmax()]))
+        if np.linalg.norm(self.point_m - centre_m) < self.near_m:
+            return name
+        return f"an axis along {name} through {write_place(self.point_m)} mm"
+
+
+def find_turn(motion: Poses, obj: ObjectModel, diameter_m: float) -> Turn | None:
+    """Return the turn that a motion (4, 4), metres, is; None if it also moves the object along the axis, or far away.
+
+    The turn's point is the point of the line that is nearest to the object's centre c. It follows from the shift s of
+    the centre: p = c + (s + cot(angle / 2) axis x s) / 2, because s is perpendicular to the axis.
+    """
+    angle, shift = float(rotation_angle(motion[:3, :3])), _find_shift(motion, obj)
+    if angle < SMALL_TURN_RAD:
         return None
     axis = find_axis(motion[:3, :3])
-    return angle, name_direction(axis * np.sign(axis[np.abs(axis).argmax()]))
+    across = shift - (shift @ axis) * axis
+    beside = 0.5 * (across + np.cross(axis, across) / np.tan(angle / 2))
+    if abs(shift @ axis) > SHIFTED * diameter_m or np.linalg.norm(beside) > FAR * diameter_m:
+        return None
+    return Turn(angle, axis, obj.mesh.centroid_m + beside, NEAR_LINES * diameter_m)
 
 
 def describe_motions(motions: Poses, obj: ObjectModel, diameter_m: float) -> tuple[str, str]:
     """Return a motion, or turns about one axis, (K, 4, 4), metres, in words, and the reason why touches miss it."""
-    turns = [find_turn(motion, obj, diameter_m) for motion in motions]
-    if turns[0] is not None:
-        angles = sorted({round(float(np.degrees(turn[0]))) for turn in turns if turn is not None})
+    turns = [turn for motion in motions if (turn := find_turn(motion, obj, diameter_m)) is not None]
+    if turns:
+        angles = sorted({round(float(np.degrees(turn.angle_rad))) for turn in turns})
         listed = " or ".join(filter(None, (", ".join(map(str, angles[:-1])), str(angles[-1]))))
         whole = [n for n in PARTS_OF_TURN if all(abs(a - round(a * n / 360) * 360 / n) < OFF_DEG for a in angles)]
-        same = f"the part is nearly the same after 1/{whole[0]} of a turn" if whole else ""
-        return f"turned by {listed} degrees about {turns[0][1]}", same or "the part is nearly round about this axis"
+        same = f"these places look alike after 1/{whole[0]} of a turn" if whole else ""
+        name = turns[0].name_axis(obj.mesh.centroid_m)
+        return f"turned by {listed} degrees about {name}", same or "these places are nearly round about this axis"
     shift, R = _find_shift(motions[0], obj), motions[0, :3, :3]
     moved = f"moved by {1e3 * np.linalg.norm(shift):.1f} mm along {name_direction(shift)}"
     if rotation_angle(R) < SMALL_TURN_RAD:
-        return moved, "the surface looks alike along this direction"
+        return moved, "these places look alike along this direction"
     turned = f"turned by {np.degrees(rotation_angle(R)):.0f} degrees about {name_direction(find_axis(R))}"
     return f"{turned} and {moved}", "two places of the part look alike"
 

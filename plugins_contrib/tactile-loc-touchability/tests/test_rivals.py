@@ -12,6 +12,7 @@ from tactile_loc_touchability.rivals import (
     choose_marks,
     describe_motions,
     find_pairs,
+    find_turn,
     merge_motions,
     tell_apart,
 )
@@ -26,16 +27,16 @@ def shift(x_mm: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("motion", "words", "reason"),
     [
-        (HALF_TURN, "turned by 180 degrees about z", "the part is nearly the same after 1/2 of a turn"),
-        (shift(-4), "moved by 4.0 mm along -x", "the surface looks alike along this direction"),
+        (HALF_TURN, "turned by 180 degrees about z", "these places look alike after 1/2 of a turn"),
+        (shift(-4), "moved by 4.0 mm along -x", "these places look alike along this direction"),
         (
             make_transform(rotation_about([0, 1, 0], np.radians(100)), np.zeros(3)),
             "turned by 100 degrees about y",
-            "the part is nearly round about this axis",
+            "these places are nearly round about this axis",
         ),
         (
-            make_transform(rotation_about([0, 0, 1], np.pi / 2), np.array([0, 5e-3, 0])),
-            "turned by 90 degrees about z and moved by 5.0 mm along y",
+            make_transform(rotation_about([0, 0, 1], np.radians(50)), np.array([0, 0, 5e-3])),
+            "turned by 50 degrees about z and moved by 5.0 mm along z",
             "two places of the part look alike",
         ),
     ],
@@ -80,6 +81,14 @@ def test_pairs_are_counted_over_touches(study_of):
     assert pair.confused.sum() == 15
     assert 0 < pair.told.mean() < 0.9
     assert find_pairs(study) == []
+
+
+@pytest.mark.parametrize("angle_deg", [20, 50, 130])
+def test_the_axis_of_a_turn_is_found_beside_the_centre(plain, angle_deg):
+    R, point = rotation_about([0, 1, 0], np.radians(angle_deg)), np.array([0.02, 0.0, -0.01])
+    turn = find_turn(make_transform(R, point - R @ point), plain, 0.033)
+    assert turn.point_m == pytest.approx(point, abs=1e-9)
+    assert turn.name_axis(np.zeros(3)) == "an axis along y through (20.0, 0.0, -10.0) mm"
 
 
 def test_turns_about_one_axis_are_one_family(study_of):
