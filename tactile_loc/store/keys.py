@@ -27,6 +27,8 @@ MEANINGS = {  # what a stage makes, for messages
     "temperature": "fit of the probabilities",
     "evaluation": "evaluated touches",
     "contact-evaluation": "evaluated sets of touches",
+    "touch-errors": "further errors of evaluated touches",
+    "touch-judgement": "judged touches",
     "recall-evaluation": "evaluated examples",
     "board-presses": "simulated presses for a calibration",
     "calibration": "training of a calibration",

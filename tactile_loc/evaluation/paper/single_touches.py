@@ -11,7 +11,7 @@ from tactile_loc.core.poses.pose_errors import compute_add_s, measure_pose_error
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.evaluation.metrics import PoseJudge
 from tactile_loc.evaluation.paper.ambiguity import choose_judging_noise, make_refiner, measure_ambiguity
-from tactile_loc.evaluation.protocol import LINES, SHARD, evaluate, measure_in_shards
+from tactile_loc.evaluation.protocol import LINES, SHARD, evaluate, make_evaluation_key, measure_in_shards
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.table import ExampleTable, name_errors
 from tactile_loc.locate.localizer import Localizer
@@ -20,20 +20,27 @@ from tactile_loc.store.keys import StageKey
 METRICS = ("add", "mssd", "add-s")
 ASKED_EVERY = 10  # step through the surface points, for ADD-S
 JUDGED = ("ambiguity", "contact_share")
-JUDGED_VERSION = 1  # increase if the same touches are judged in another way
+JUDGED_VERSION, METRICS_VERSION = 1, 1  # increase if the same touches, or the same poses, get other numbers
 
 
 def evaluate_touches(localizer: Localizer, count: int, touches: SimulatedTouches) -> ExampleTable:
     """Return the table of `evaluate` with the errors of LINES in all METRICS, and with the columns JUDGED.
 
     `ambiguity` is the ratio of `measure_ambiguity`, and `contact_share`, 0 to 1, is the share of the observed pixels in
-    contact. They are kept in the localizer's store, and are the same for all encoders and refiners.
+    contact. They are the same for all encoders and refiners. All columns are kept in the localizer's store.
     """
     table, judge = evaluate(localizer, count, touches), PoseJudge(localizer.object)
-    errors_m = [_measure_errors(judge, *poses) for poses in zip(table["T_sensor_object"], table["T_true"], strict=True)]
-    key = make_judgement_key(localizer, count, touches)
-    judged = measure_in_shards(localizer.store, key, JUDGED, count, SHARD, partial(_judge, localizer, touches))
-    return ExampleTable({**table.columns, **name_errors(np.stack(errors_m), LINES, METRICS[1:]), **judged})
+
+    def measure(numbers: Sequence[int]) -> list[Floats]:
+        poses = zip(table["T_sensor_object"][numbers], table["T_true"][numbers], strict=True)
+        return [np.stack([_measure_errors(judge, *one) for one in poses])]
+
+    keep = partial(measure_in_shards, localizer.store, count=count, size=SHARD)
+    evaluated = make_evaluation_key(localizer, count, touches).digest
+    key = StageKey("touch-errors", METRICS_VERSION, {"evaluation": evaluated})
+    (errors_m,) = keep(key, ("errors_m",), make=measure).values()
+    judged = keep(make_judgement_key(localizer, count, touches), JUDGED, make=partial(_judge, localizer, touches))
+    return ExampleTable({**table.columns, **name_errors(errors_m, LINES, METRICS[1:]), **judged})
 
 
 def make_judgement_key(localizer: Localizer, count: int, touches: SimulatedTouches) -> StageKey:

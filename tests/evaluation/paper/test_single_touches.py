@@ -48,11 +48,14 @@ def test_an_equivalent_pose_of_a_symmetric_object_has_no_error(localizer):
     assert single_touches._measure_errors(PoseJudge(localizer.object), same, truth)[:, 0] == pytest.approx(0, abs=1e-9)
 
 
-def test_touches_are_judged_once_for_all_encoders_and_refiners(found, localizer, monkeypatch):
+def test_touches_are_judged_once_for_all_encoders_and_all_columns_are_kept(found, localizer, monkeypatch):
     monkeypatch.setattr(single_touches, "measure_ambiguity", None)
     settings = {"encoder": {"name": "pixel", "cells": 5}, "refiner": "none"}
     other = Localizer.create("pin", grid={"name": "face", "spacing_mm": 8}, store=localizer.store, **settings)
     again = evaluate_touches(other, COUNT, TOUCHES)
+    monkeypatch.setattr(single_touches, "_measure_errors", None)
+    kept = evaluate_touches(localizer, COUNT, TOUCHES)
+    assert all((kept[name] == values).all() for name, values in found.columns.items())
     assert (again["ambiguity"] == found["ambiguity"]).all()
     assert not (again.errors_m("best-1", "mssd") == found.errors_m("best-1", "mssd")).all()
 
