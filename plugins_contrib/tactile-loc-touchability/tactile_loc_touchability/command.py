@@ -15,7 +15,6 @@ from tactile_loc.commands import (
     WorkerOptions,
     declare,
     format_mm,
-    format_percent,
     make_config,
     make_progress,
     open_localizer,
@@ -25,7 +24,7 @@ from tactile_loc.commands import (
 )
 from tactile_loc.plugin import ConfigError
 
-from tactile_loc_touchability.words import write_place
+from tactile_loc_touchability.words import write_place, write_share
 
 if TYPE_CHECKING:
     from tactile_loc_touchability.details import Findings
@@ -140,7 +139,7 @@ def say_studies(studies: list[Study]) -> None:
     rows = [["sensor, press", "touches", "simulated", "certain", "within 1 mm", "certain but wrong", "no feature"]]
     for study in studies:
         for one in study.list_shares():
-            shares = (format_percent(one[name]) for name in ("certain", "right", "wrong", "nothing"))
+            shares = (write_share(one[name]) for name in ("certain", "right", "wrong", "nothing"))
             rows.append([study.name, str(one["touches"]), str(one["sets"]), *shares])
     say_table(rows, left=1)
 
@@ -150,7 +149,7 @@ def say_findings(found: Findings, answer: str) -> None:
     say(f"details: {found.study.name}")
     for one in found.best:
         places = ", ".join(write_place(found.study.presses.places_m[k]) for k in one.presses)
-        shares = " and ".join(f"{format_percent(one.shares[name])} {word}" for name, word in SAID.items())
+        shares = " and ".join(f"{write_share(one.shares[name])} {word}" for name, word in SAID.items())
         say(f"best {len(one.presses)}: {places} mm: {shares}")
     for number, pair in enumerate(found.pairs, 1):
         say(f"pair {number}: {pair.describe()}")

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_loc.commands import format_percent
 from tactile_loc.plugin import Progress
 
 from tactile_loc_touchability.features import FeatureError, TriedFeature, try_features
 from tactile_loc_touchability.rivals import ConfusedPair, find_pairs
 from tactile_loc_touchability.study import Study
 from tactile_loc_touchability.together import BestTouches, find_best_touches
+from tactile_loc_touchability.words import write_share
 
 USUALLY, SELDOM = 0.8, 0.2  # shares above which touches usually determine the pose, and below which they seldom do
 
@@ -61,15 +61,15 @@ def give_answer(found: Findings) -> str:
             else ("one touch at a random place usually determines the pose")
         )
     elif best:
-        share = format_percent(best.shares["certain"])
+        share = write_share(best.shares["certain"])
         said = f"{_count(len(best.presses))} at the best places determined the pose in {share} of the simulated sets; "
-        said += f"at random places, {_count(max(shares))} did in {format_percent(max(shares.values()))}"
+        said += f"at random places, {_count(max(shares))} did in {write_share(max(shares.values()))}"
     else:
         most = max([*shares.values(), *(one.shares["certain"] for one in found.best)])
         said = (
             "up to three touches seldom determine the pose"
             if most < SELDOM
-            else (f"up to three touches determine the pose in at most {format_percent(most)} of the cases")
+            else (f"up to three touches determine the pose in at most {write_share(most)} of the cases")
         )
     return f"{found.study.name}: {said}."
 

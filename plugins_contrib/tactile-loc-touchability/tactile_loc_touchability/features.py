@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import TriangleMesh
-from tactile_loc.commands import format_percent
 from tactile_loc.plugin import ObjectModel, TactileLocError
 from tactile_loc.plugin.helpers import SymmetryGroup
 
 from tactile_loc_touchability.rivals import ConfusedPair, choose_marks, tell_apart
 from tactile_loc_touchability.study import Study
-from tactile_loc_touchability.words import write_place
+from tactile_loc_touchability.words import write_place, write_share
 
 RADIUS_M = 1e-3  # of the ball that is added or removed
 KINDS = {"dimple": "difference", "bump": "union"}
@@ -36,7 +35,7 @@ class TriedFeature:
 
     def describe(self) -> str:
         """Return the feature and its gain in words."""
-        shares = f"from {format_percent(self.before)} to {format_percent(self.after)}"
+        shares = f"from {write_share(self.before)} to {write_share(self.after)}"
         return (
             f"a {self.kind} of {2e3 * RADIUS_M:g} mm diameter at {write_place(self.place_m)} mm raises the share of "
             f"places that tell the poses of pair 1 apart {shares}"

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import Page, Section, TriangleMesh, frame_surface, simplify_mesh
-from tactile_loc.commands import format_mm, format_percent
+from tactile_loc.commands import format_mm
 
 from tactile_loc_touchability.details import Findings
 from tactile_loc_touchability.features import RADIUS_M
 from tactile_loc_touchability.rivals import choose_marks
 from tactile_loc_touchability.study import RIGHT_M, Study
 from tactile_loc_touchability.together import CONFIRMED, average_nearby
-from tactile_loc_touchability.words import write_place
+from tactile_loc_touchability.words import write_place, write_share
 
 Floats = NDArray[np.float64]
 
@@ -182,14 +182,14 @@ def list_numbers(study: Study) -> list[tuple[str, str, str]]:
     numbers = [
         (
             f"certain after {one['touches']}",
-            format_percent(one["certain"]),
+            write_share(one["certain"]),
             f"of {one['sets']} {'touches' if one['touches'] == 1 else 'sets of touches'} at random places; "
-            f"{format_percent(one['right'])} within 1 mm",
+            f"{write_share(one['right'])} within 1 mm",
         )
         for one in study.list_shares()
     ]
     reach = "of the surface is touched by a gel that comes along the normal or tilted"
-    return [*numbers, ("within reach", format_percent(study.presses.reached), reach)]
+    return [*numbers, ("within reach", write_share(study.presses.reached), reach)]
 
 
 def list_share_cells(study: Study) -> list[list[str]]:

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import PoseModes, choose_next_touch
-from tactile_loc.commands import format_percent
 from tactile_loc.plugin import ConfigError, ObjectModel, Poses
 from tactile_loc.plugin.helpers import PoseMetric, invert, rotation_angle
 
 from tactile_loc_touchability.study import Study
-from tactile_loc_touchability.words import write_place
+from tactile_loc_touchability.words import write_place, write_share
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -53,7 +52,7 @@ class ConfusedPair:
 
     def describe(self) -> str:
         """Return the pair, the reason and the places in words."""
-        share, told = format_percent(float(self.confused.mean())), format_percent(float(self.told.mean()))
+        share, told = write_share(float(self.confused.mean())), write_share(float(self.told.mean()))
         where = (
             "no simulated touch tells them apart"
             if not self.told.any()
