@@ -1,12 +1,11 @@
 #!/usr/bin/env python3
 """Faults that are planted in real photos, and what the checks of `tactile-loc doctor --sensor` find.
 
-The public sets are those of `real_images.py`. Of five presses, three calibrate the sensor, one belongs to the photos
-`tuned`, with which the limits of the checks were chosen, and one to the photos `held-out`. A fault is found if one of
-the checks that are named for it finds a fault.
+The public sets are those of `real_images.py`. Of five presses, three calibrate the sensor as `tactile-loc calibrate`
+does. One belongs to the photos `tuned`, with which the limits of the checks were chosen, and one to the photos
+`held-out`. A fault is found if one of the checks that are named for it finds a fault.
 """
 
-import csv
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -19,10 +18,9 @@ from PIL import Image as Picture
 from real_images import SETS
 from scipy.ndimage import affine_transform, gaussian_filter
 
-from tactile_loc import convert_presses, read_photo
+from tactile_loc import calibrate_folder, convert_presses, label_presses, read_photo
 from tactile_loc.sensors.calibration.folder import Calibration, read_calibration
-from tactile_loc.sensors.calibration.outcome import FolderReading, calibrate_folder
-from tactile_loc.sensors.calibration.press_table import TABLE
+from tactile_loc.sensors.calibration.press_table import read_rows
 from tactile_loc.sensors.reading.passport import examine_photos
 from tactile_loc.sensors.reading.reading import reduce_image
 
@@ -78,6 +76,7 @@ def each(change: Callable[[Image, NDArray[np.float64]], Image]) -> Callable[[Pho
     return lambda photos, gel: [np.ascontiguousarray(change(photo, gel)) for photo in photos]
 
 
+CLEAN = "none (clean photos)"
 ORDER, SURFACE = "order of colours and pixels", "surface of the gel"
 ZERO, OTHER = "zero image", "same sensor"  # planted in the sensor, or taken from another set
 FAULTS: Mapping[str, tuple[set[str], Callable[[Photos, NDArray[np.float64]], list[Image]]]] = {
@@ -95,17 +94,18 @@ FAULTS: Mapping[str, tuple[set[str], Callable[[Photos, NDArray[np.float64]], lis
 
 
 def split(name: str, data: Path, presses: Path) -> dict[str, list[Image]]:
-    """Convert a set to the folder `presses`, keep a part of its presses there, and return the photos of the others."""
+    """Write the photos of a set to the folder `presses`, find the balls in some, and return the other photos.
+
+    The labels of the sets are not used: those of FOTS are up to 8 pixels beside the imprints.
+    """
     source, ball_radius_mm, mm_per_px, _ = SETS[name]
     table = convert_presses(data / source, presses, ball_radius_mm, mm_per_px)
-    with table.open(newline="", encoding="utf-8") as file:
-        heading, *rows = csv.reader(file)
-    balls = [row for row in rows if row[1] == "ball"]
-    kept = [row for n, row in enumerate(balls) if n % EVERY not in PARTS.values()]
-    with (presses / TABLE).open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([heading, *(row for row in rows if row[1] != "ball"), *kept])
-    names = {part: [row[0] for n, row in enumerate(balls) if n % EVERY == k] for part, k in PARTS.items()}
-    return {part: [read_photo(presses / image) for image in images] for part, images in names.items()}
+    balls = [row.image for row in read_rows(table) if row.kind == "ball"]
+    photos = {part: [read_photo(path) for path in balls[k::EVERY]] for part, k in PARTS.items()}
+    for path in (table, *(path for k in PARTS.values() for path in balls[k::EVERY])):
+        path.unlink()
+    label_presses(presses, None, ball_radius_mm, mm_per_px)
+    return photos
 
 
 def find_faults(sensor: Calibration, photos: Photos) -> set[str]:
@@ -126,7 +126,7 @@ def plant(sensor: Calibration, photos: Photos, other: Photos) -> dict[str, tuple
     names = find_faults(sensor, resized)
     results["another sensor"] = OTHER in names, names
     names = find_faults(sensor, photos)
-    return {"none (clean photos)": (not names, names), **results}
+    return {CLEAN: (not names, names), **results}
 
 
 def main() -> None:
@@ -140,20 +140,23 @@ def main() -> None:
         photos = {name: split(name, arguments.data, folder / "presses") for name, folder in folders.items()}
         for name in arguments.sets:
             presses, out = folders[name] / "presses", folders[name] / "sensor"
-            calibrate_folder(presses, presses / "sensor.toml", reading=FolderReading(name == "FOTS")).write(out)
+            calibrate_folder(presses, presses / "sensor.toml").write(out)
             other = photos[list(SETS)[list(SETS).index(name) - 1]]
             for part in PARTS:
                 results[part][name] = plant(read_calibration(out), photos[name][part], other[part])
     for part, of_sets in results.items():
         print(write_head(f"planted fault, {part} photos", *of_sets))
         for fault in next(iter(of_sets.values())):
-            print(f"| {fault} | {' | '.join(write_cell(*found[fault]) for found in of_sets.values())} |")
+            print(f"| {fault} | {' | '.join(write_cell(fault, *found[fault]) for found in of_sets.values())} |")
         print()
 
 
-def write_cell(right: bool, names: set[str]) -> str:
-    """Return a cell: whether the result is right, and what was found otherwise."""
-    return "yes" if right else f"no ({', '.join(sorted(names)) or 'nothing'})"
+def write_cell(fault: str, right: bool, names: set[str]) -> str:
+    """Return a cell: whether the planted fault is found, and which others are found instead."""
+    listed = ", ".join(sorted(names)) or "nothing"
+    if fault == CLEAN:
+        return "none found" if right else f"found: {listed}"
+    return "found" if right else f"not found ({listed})"
 
 
 if __name__ == "__main__":

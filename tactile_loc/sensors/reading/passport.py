@@ -204,12 +204,17 @@ def _measure_aspect(seen: Examination) -> float:
 
 
 def _measure_touch(seen: Examination) -> float:
-    """Return the depth, metres, of a touch in the zero image, which today's gel shows as a bulge; 0 without one."""
+    """Return the depth, metres, of a touch in the zero image, compared with today's gel; 0 without one.
+
+    If today's gel is the deeper one, it has a permanent dent.
+    """
     imprint = find_imprint(seen.change)
     small = imprint.circle.radius_px < SMALL * min(seen.before.shape[:2])
     if imprint.likeness < LIKE_BALL or imprint.contrast < CLEAR or not small:
         return 0.0
-    return measure_press_m(-seen.read_today[0], seen.estimator.geometry)
+    touched, dented = seen.read(2 * seen.before - seen.today)[0], seen.read_today[0]
+    touch_m, dent_m = (measure_press_m(one, seen.estimator.geometry) for one in (touched, dented))
+    return touch_m if touch_m > dent_m else 0.0
 
 
 def _measure_texture(seen: Examination) -> float:
