@@ -38,7 +38,6 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.probability import temperature
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.plugins.renderers.heightmap import HeightmapRenderer
-from tactile_loc.sensors.calibration import gel_fit
 from tactile_loc.store.store import StageStore
 from tactile_loc.testing.problems import LOPSIDED_CAMERAS
 from tactile_loc.view import one_versus_several, pictures, pose_panel, raytracing
@@ -115,16 +114,6 @@ def shipped_touches() -> Iterator[int]:
     shipped = temperature.TOUCHES
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(temperature, "TOUCHES", shipped // 20)
-        yield shipped
-
-
-@pytest.fixture(autouse=True, scope="session")
-def shipped_gel_fit() -> Iterator[tuple[np.ndarray, int]]:
-    """The thicknesses, metres, that are tried for a gel, and the pixels; the tests try fewer, with fewer pixels."""
-    shipped = gel_fit.THICKNESSES_M, gel_fit.PIXELS
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gel_fit, "THICKNESSES_M", shipped[0][1:6])
-        patch.setattr(gel_fit, "PIXELS", shipped[1] // 2)
         yield shipped
 
 

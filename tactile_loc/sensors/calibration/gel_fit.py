@@ -20,18 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates
+from scipy.special import j1
 
-from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.core.sensing.gel import Gel, compute_smoothing, list_wave_numbers, make_solver
+from tactile_loc.core.sensing.gel import Gel, compute_compliance, compute_smoothing
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.labels import Image, PressLabel
 from tactile_loc.sensors.reading.circles import TUKEY, Circle, compare_colours, fit_robustly
 
 DEPTHS = np.linspace(0.12, 1.22, 171) ** 2  # in radii of the ball; the contacts' radii are about evenly spaced
-EVERY = 5  # each of these depths is solved; the surfaces between are interpolated
-PIXELS, WIDTH = 144, 5.2  # pixels along a side of the window in which balls are pressed, and its width in radii
-SOLVED = 9  # iterations of the solver
+RINGS, WIDTH = 72, 2.6  # rings of equal width around a ball's axis, and the radius of them all, in radii of the ball
+WAVES = np.concatenate([[0.0], np.geomspace(1e-3, 0.1, 9), np.arange(0.13, 40.0, 0.13)])  # borders, radians per ring
+NODES = 4  # of the integration between two of these wave numbers
+EDGE = 0.11  # part of the outermost pressed ring that does not touch: so the contact on a half-space is right
 THICKNESSES_M = 1e-3 * np.geomspace(1.5, 24.0, 9)  # tried; errors of gels between them are interpolated
 COATINGS_M = 1e-3 * np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
 SURE = 0.02  # standard deviation of the contact's share of the circle, at least
@@ -87,62 +88,71 @@ class PressedBalls:
 
 @lru_cache(maxsize=256)
 def press_balls(gel: Gel, ball_m: float) -> PressedBalls:
-    """Press a ball of `ball_m` metres into a gel."""
-    pitch_m, middle = WIDTH * ball_m / PIXELS, PIXELS // 2
-    away_m = np.asarray(pitch_m * np.arange(PIXELS - middle), float)
+    """Press a ball of `ball_m` metres into a gel. The pressure is constant in each of the RINGS."""
+    pitch_m = WIDTH * ball_m / RINGS
+    away_m = np.asarray(pitch_m * np.arange(RINGS), float)
     if not gel.is_elastic:
-        surface = np.maximum((DEPTHS * ball_m)[:, None] - _shape_ball(away_m, ball_m), 0)
+        below_m = ball_m - np.sqrt(np.maximum(ball_m**2 - away_m**2, 0))
+        below_m[away_m >= ball_m] = NEVER * ball_m
+        surface = np.maximum((DEPTHS * ball_m)[:, None] - below_m, 0)
         slope = np.asarray(-np.gradient(surface, pitch_m, axis=1), float)
         return PressedBalls(ball_m, away_m, surface, slope, ball_m * np.sqrt(1 - (1 - np.minimum(DEPTHS, 1)) ** 2))
     bare = Gel(gel.thickness_m, gel.poisson)
-    surface, pressure = _press(bare, ball_m)
-    spectrum, padded = _transform(bare, ball_m)
-    smoothing = compute_smoothing(np.hypot(*list_wave_numbers(padded, (pitch_m, pitch_m))), gel)
-    # One row of the inverse transform: the sum along the other axis, then a transform along the row.
-    wave = np.exp(2j * np.pi * middle * np.arange(padded[0]) / padded[0]) / padded[0]
-    row = np.einsum("dkm,km->dm", spectrum, wave[:, None] * smoothing)
-    visible = np.fft.irfft(row, padded[1])[:, middle:PIXELS]
-    contact_m = pitch_m * np.sqrt((pressure > 0).sum(axis=(1, 2)) / np.pi)
-    slope = np.asarray(-np.gradient(visible, pitch_m, axis=1), float)
-    rows = (surface[:, middle, middle:].astype(float), slope, contact_m)
-    return PressedBalls(ball_m, away_m, *(_interpolate(values) for values in rows))
+    depths_m, pressures, contacts_m = _press_rings(bare, ball_m)
+    at = np.interp(DEPTHS * ball_m, depths_m, np.arange(len(depths_m)))
+    low = np.minimum(at.astype(int), len(depths_m) - 2)
+    pressure = pressures[low] + (at - low)[:, None] * (pressures[low + 1] - pressures[low])
+    slope = np.asarray(-np.gradient(pressure @ _respond(gel, pitch_m).T, pitch_m, axis=1), float)
+    contact_m = np.interp(DEPTHS * ball_m, depths_m, contacts_m)
+    return PressedBalls(ball_m, away_m, pressure @ _respond(bare, pitch_m).T, slope, contact_m)
 
 
-@lru_cache(maxsize=32)
-def _press(gel: Gel, ball_m: float) -> tuple[Float32, Float32]:
-    """Return the displacements and pressures (D', H, W) of a ball that is pressed by the solved depths into a gel."""
-    pitch_m = WIDTH * ball_m / PIXELS
-    away = np.asarray(pitch_m * np.abs(np.arange(PIXELS) - PIXELS // 2), float)
-    below_m = _shape_ball(np.hypot(away[None], away[:, None]), ball_m)
-    reach_m = ((DEPTHS[::EVERY] * ball_m)[:, None, None] - below_m).astype(np.float32)
-    contact = make_solver(gel, below_m.shape, (pitch_m, pitch_m)).press(reach_m, SOLVED)
-    return contact.displacement_m, contact.pressure
+def _press_rings(gel: Gel, ball_m: float) -> tuple[Floats, Floats, Floats]:
+    """Return depths (N,), metres, the pressures (N, RINGS) in a gel under a ball, and the contacts' radii (N,), metres.
 
-
-@lru_cache(maxsize=4)  # for the coatings of one gel
-def _transform(gel: Gel, ball_m: float) -> tuple[NDArray[np.complex128], tuple[int, int]]:
-    """Return the spectra (D', N, M / 2 + 1) of the displacements by `_press`, and their padded size (N, M)."""
-    pitch_m = WIDTH * ball_m / PIXELS
-    solver = make_solver(gel, (PIXELS, PIXELS), (pitch_m, pitch_m))
-    spectrum = np.fft.rfft2(_press(gel, ball_m)[1], solver.padded) * solver.compliance
-    return spectrum, solver.padded
-
-
-def _interpolate(solved: Floats) -> Floats:
-    """Return values (D, ...) at DEPTHS, given those (D', ...) at the solved depths."""
-    at = np.arange(len(DEPTHS)) / EVERY
-    low = np.minimum(at.astype(int), len(solved) - 2)
-    part = (at - low).reshape(-1, *[1] * (solved.ndim - 1))
-    return np.asarray(solved[low] + part * (solved[low + 1] - solved[low]))
-
-
-def _shape_ball(away_m: Floats, ball_m: float) -> Floats:
-    """Return the heights, metres, of a ball's underside over its deepest point, at distances from its axis, metres.
-
-    Beside the ball, the height is NEVER radii.
+    At each depth but the last, one more ring begins to touch. The last depth is larger than any in DEPTHS. Between two
+    depths, all pressures are linear functions of the depth.
     """
-    below_m = ball_m - np.sqrt(np.maximum(ball_m**2 - away_m**2, 0))
-    return np.asarray(np.where(away_m < ball_m, below_m, NEVER * ball_m))
+    pitch_m = WIDTH * ball_m / RINGS
+    rims_m = pitch_m * (np.arange(RINGS + 1) - 0.5).clip(0)
+    inside = np.diff(-(np.maximum(ball_m**2 - rims_m**2, 0) ** 1.5)) / 3  # the integral of the ball's height
+    below_m = ball_m - inside / (np.diff(rims_m**2) / 2)
+    response, most = _respond(gel, pitch_m), int((rims_m[1:] <= ball_m).sum())
+    depths, pressures = [0.0], [np.zeros(RINGS)]
+    for touching in [*range(2, most + 1), most]:
+        some = np.s_[:touching]
+        flat, ball = np.linalg.solve(response[some, some], np.stack([np.ones(touching), below_m[some]], axis=1)).T
+        last = len(depths) == most
+        depths.append(2 * DEPTHS[-1] * ball_m if last else ball[-1] / flat[-1])  # or no pressure in the outermost ring
+        pressures.append(np.pad(depths[-1] * flat - ball, (0, RINGS - touching)))
+    contacts_m = pitch_m * (np.array([EDGE, *range(1, most), most]) - EDGE)
+    return np.array(depths), np.array(pressures), contacts_m
+
+
+def _respond(gel: Gel, pitch_m: float) -> Floats:
+    """Return the mean displacements (RINGS, RINGS), metres, below the coating in a ring under pressure in another ring.
+
+    Each is an integral over all wave numbers, by Gauss and Legendre.
+    """
+    k, weights, waves, areas = _list_waves()
+    q, thickest_m = k / pitch_m, 1e4 * RINGS * pitch_m  # as good as a half-space
+    seen = compute_compliance(q, Gel(min(gel.thickness_m or 0, thickest_m), gel.poisson)) * compute_smoothing(q, gel)
+    return np.asarray((waves * (weights * seen / k)) @ waves.T / areas[:, None])
+
+
+@lru_cache(maxsize=1)
+def _list_waves() -> tuple[Floats, Floats, Floats, Floats]:
+    """Return wave numbers (Q,), their weights (Q,), the rings' transforms (RINGS, Q), and areas (RINGS,) over 2 pi.
+
+    The unit of length is the width of a ring.
+    """
+    nodes, shares = np.polynomial.legendre.leggauss(NODES)
+    middle, half = (WAVES[1:] + WAVES[:-1]) / 2, np.diff(WAVES) / 2
+    k = (middle[:, None] + half[:, None] * nodes).ravel()
+    rims = np.arange(RINGS) + 0.5
+    discs = rims[:, None] * j1(rims[:, None] * k)
+    weights = (half[:, None] * shares).ravel()
+    return k, weights, np.diff(discs, axis=0, prepend=0), np.diff(rims**2, prepend=0) / 2
 
 
 def label_elastic_ball(

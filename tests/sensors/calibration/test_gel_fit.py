@@ -10,7 +10,7 @@ import pytest
 from ball_helpers import BALL_M, GEOMETRY, PITCH_M, UNTOUCHED, draw_press
 
 from tactile_loc import EstimatorRecipe, SensorGeometry
-from tactile_loc.core.sensing.gel import RIGID, Gel
+from tactile_loc.core.sensing.gel import RIGID, Gel, make_solver
 from tactile_loc.sensors.calibration import gel_fit
 from tactile_loc.sensors.calibration.gel_fit import DEPTHS, fit_gel, label_elastic_ball, press_balls
 
@@ -61,7 +61,23 @@ def test_a_ball_on_a_half_space_is_as_hertz_says():
     depths_m = DEPTHS * BALL_M
     shallow = (depths_m > 1e-4) & (depths_m < 5e-4)
     np.testing.assert_allclose(pressed.surface_m[shallow, 0], depths_m[shallow], rtol=0.01)
-    np.testing.assert_allclose(pressed.contact_m[shallow], np.sqrt(BALL_M * depths_m[shallow]), rtol=0.06)
+    contact_m = pressed.contact_m[shallow]
+    exact_m = 0.5 * contact_m * np.log((BALL_M + contact_m) / (BALL_M - contact_m))  # of a sphere, not a paraboloid
+    np.testing.assert_allclose(depths_m[shallow], exact_m, rtol=0.02)
+
+
+@pytest.mark.parametrize("gel", [Gel(2e-3), Gel(5e-3)], ids=str)
+def test_rings_of_pressure_agree_with_the_solver_on_pixels(gel):
+    pressed = press_balls(gel, BALL_M)
+    chosen = int(np.abs(DEPTHS * BALL_M - 5e-4).argmin())
+    pitch_m = 1e-4
+    side = pitch_m * (np.arange(128) - 64)
+    away = np.hypot(side[None], side[:, None])
+    below = BALL_M - np.sqrt(np.maximum(BALL_M**2 - away**2, 0))
+    reach = np.where(away < BALL_M, DEPTHS[chosen] * BALL_M - below, -np.inf).astype(np.float32)
+    solved = make_solver(gel, reach.shape, (pitch_m, pitch_m)).press(reach[None], 20).displacement_m[0]
+    wanted = np.interp(away, pressed.away_m, pressed.surface_m[chosen])
+    np.testing.assert_allclose(solved[away < 5e-3], wanted[away < 5e-3], atol=0.012 * DEPTHS[chosen] * BALL_M)
 
 
 def test_a_label_is_the_gel_in_and_around_the_contact():
@@ -82,11 +98,8 @@ SET_MM_PX = 0.059259
 
 
 @pytest.mark.slow
-def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fit, monkeypatch):
+def test_real_presses_give_absolute_depths(shared_data, tmp_path):
     """GelSlim: balls calibrate; another ball and a flat prism are read at their stated presses, constant included."""
-    thicknesses_m, pixels = shipped_gel_fit
-    monkeypatch.setattr(gel_fit, "THICKNESSES_M", thicknesses_m)
-    monkeypatch.setattr(gel_fit, "PIXELS", pixels)
     from PIL import Image
 
     from tactile_loc.sensors.calibration.layouts import convert_presses
@@ -119,7 +132,7 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path, shipped_gel_fi
         depth = int(np.abs(DEPTHS * 2.92e-3 - press_m).argmin())
         ball_m = np.interp(away, truth.away_m, truth.surface_m[depth]) + press_m - DEPTHS[depth] * 2.92e-3
         off_m = (read(shapes / f"sphere_{press}_real.png") - ball_m)[away < truth.contact_m[depth]]
-        assert np.sqrt(np.mean(off_m**2)) < 55e-6
+        assert np.sqrt(np.mean(off_m**2)) < (25e-6 if press == "0.25" else 45e-6)  # without seams: 32e-6 at 0.25 mm
         flat_m = read(shapes / f"prism_{press}_real.png")[tip]
         assert flat_m.mean() == pytest.approx(press_m, rel=0.05, abs=7e-5)
         assert flat_m.std() < 4.5e-5
