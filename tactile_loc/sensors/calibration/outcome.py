@@ -30,7 +30,7 @@ from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
 
 HELD_OUT = 0.2  # share of the presses on which the errors are measured
 FEWEST = 5  # fewest presses for a calibration: four for training and one held out
-STAGE_VERSION, RECORD = 8, "held-out"
+STAGE_VERSION, RECORD = 9, "held-out"
 MOST_CHECKED = 12  # largest number of presses for which the sensor's checks are measured
 LOOKED_AT = 60  # largest number of presses for which the health is measured
 QUANTITIES = {

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from scipy.ndimage import gaussian_filter
 
@@ -18,7 +19,7 @@ from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.labels import Float32, Image, LabelledPresses
+from tactile_loc.sensors.calibration.labels import Float32, Image, LabelledPresses, PressLabel
 from tactile_loc.sensors.reading.estimator import DIFFERENCE, FIXED, GelEstimator, scale_difference
 from tactile_loc.sensors.reading.surface import find_indentation
 from tactile_loc.slots.encoder import Checkpoints
@@ -30,6 +31,7 @@ STEPS_A_PRESS, MOST_STEPS = 150, 7500
 BETAS, DECAY = (0.9, 0.999), 1e-3  # of AdamW: the means' memory, and the weights' decay
 REPORT_EVERY = 50  # steps
 LEAST_SLOPE = 0.02  # of the gel beside a contact; flatter pixels count as untouched
+SEAM_PX = 20.0  # distance from a seam of two presses up to which pixels count
 
 
 class SlopeNetwork:
@@ -167,13 +169,14 @@ class PhotometricEstimator(GelEstimator):
     def _collect_samples(self, presses: LabelledPresses) -> tuple[Float32, Float32]:
         """Return features (P, FEATURES) and slopes (P, 2) of the training pixels.
 
-        These are all pixels with a known label that are in contact or slope, and some other pixels.
+        These are all pixels with a known label that are in contact or slope, some other pixels, and pixels at seams of
+        every two presses.
         """
-        rng = np.random.default_rng(self.options.seed)
+        rng, at_seams = (np.random.default_rng([self.options.seed, part]) for part in range(2))
         features, slopes, touched = [], [], 0
+        alone: tuple[Image, PressLabel] | None = None
         for image, label in presses.read_presses():
-            slopes_visibly = np.hypot(label.slope[..., 0], label.slope[..., 1]) > LEAST_SLOPE
-            inside = label.known & (label.contact | slopes_visibly)
+            inside = label.known & (label.contact | _slopes_visibly(label.slope))
             touched += int((label.known & label.contact).sum())
             outside = np.flatnonzero(label.known & ~inside)
             wanted = int(self.options.untouched * max(int(inside.sum()), 1000))
@@ -181,6 +184,36 @@ class PhotometricEstimator(GelEstimator):
             chosen[rng.permutation(outside)[:wanted]] = True
             features.append(self._stack_features(image).reshape(-1, FEATURES)[chosen])
             slopes.append(label.slope.reshape(-1, 2)[chosen])
+            if alone is None or not label.contact.any():
+                alone = image, label
+                continue
+            for values, more in zip((features, slopes), self._join(image, label, *alone, at_seams), strict=True):
+                values.append(more)
+            alone = None
         if not touched:
             raise CalibrationError("no press is in contact with the gel; check the poses or circles of the presses")
         return np.concatenate(features), np.concatenate(slopes)
+
+    def _join(
+        self, image: Image, label: PressLabel, other: Image, beside: PressLabel, rng: np.random.Generator
+    ) -> tuple[Float32, Float32]:
+        """Return features (P, FEATURES) and slopes (P, 2) of the pixels along a seam of two presses.
+
+        The seam is a random line through a contact. There, colours and slopes change suddenly, as at the edges of an
+        object. A ball has no edges, so without seams the network learns to smooth them.
+        """
+        rows, columns = np.nonzero(label.contact)
+        at, turn = rng.integers(len(rows)), rng.uniform(0, 2 * math.pi)
+        y, x = np.ogrid[: image.shape[0], : image.shape[1]]
+        away_px = (x - columns[at]) * math.cos(turn) + (y - rows[at]) * math.sin(turn)
+        side = away_px > 0
+        slope = np.where(side[..., None], label.slope, beside.slope)
+        known = np.where(side, label.known, beside.known)
+        touched = np.where(side, label.contact, beside.contact) | _slopes_visibly(slope)
+        chosen = known & touched & (np.abs(away_px) < SEAM_PX)
+        return self._stack_features(np.where(side[..., None], image, other))[chosen], slope[chosen]
+
+
+def _slopes_visibly(slope: Float32) -> NDArray[np.bool_]:
+    """Mark the pixels (H, W) at which the slope (H, W, 2) is that of touched gel."""
+    return np.asarray(np.hypot(slope[..., 0], slope[..., 1]) > LEAST_SLOPE)
