@@ -19,6 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import least_squares
 
@@ -141,13 +142,14 @@ def _match_filters(coarse: Float32) -> tuple[float, int, int, float] | None:
     height, width = coarse.shape[:2]
     margin = min(height, width) // 2
     padded = np.pad(coarse, [(margin, margin), (margin, margin), (0, 0)])
-    spectrum = np.fft.rfft2(padded, axes=(0, 1))
+    spectrum = fft.rfft2(np.moveaxis(padded, 2, 0))
+    middle = np.s_[margin : margin + height, margin : margin + width]
     best: tuple[float, int, int, float] | None = None
     for radius in np.geomspace(SMALLEST_PX, max(LARGEST * min(height, width), 2 * SMALLEST_PX), SIZES).tolist():
         explained = np.zeros(coarse.shape[:2])
         for kernel in _make_kernels(padded.shape[:2], radius):
-            answer = np.fft.irfft2(spectrum * kernel[..., None], s=padded.shape[:2], axes=(0, 1))
-            explained += (answer[margin : margin + height, margin : margin + width] ** 2).sum(axis=2)
+            answer = fft.irfft2(spectrum * kernel, padded.shape[:2])[:, middle[0], middle[1]]
+            explained += np.einsum("crk,crk->rk", answer, answer)
         y, x = divmod(int(explained.argmax()), width)
         if explained[y, x] > (best[0] if best else 0.0):
             best = float(explained[y, x]), x, y, radius
@@ -155,13 +157,13 @@ def _match_filters(coarse: Float32) -> tuple[float, int, int, float] | None:
 
 
 @lru_cache(maxsize=64)
-def _make_kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.complex128], ...]:
+def _make_kernels(shape: tuple[int, int], radius: float) -> tuple[NDArray[np.complex64], ...]:
     """Return the spectra of two ramps of unit energy, one along x and one along y."""
     y, x = (np.fft.fftfreq(n, 1 / n) for n in shape)
     u = np.hypot(*np.meshgrid(x, y)) / radius
     falls = np.where(u < REACH, 1 / (1 + u**FALL), 0)
     ramps = (x[None, :] * falls, y[:, None] * falls)
-    return tuple(np.conj(np.fft.rfft2(ramp / np.sqrt((ramp**2).sum()))) for ramp in ramps)
+    return tuple(np.conj(fft.rfft2(ramp / np.sqrt((ramp**2).sum()))).astype(np.complex64) for ramp in ramps)
 
 
 def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
