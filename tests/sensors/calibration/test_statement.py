@@ -23,7 +23,7 @@ def test_half_and_twice_the_radius_cannot_be_right(presses, stated):
     doubts = found.list_doubts(NAMES, 1e3 * stated * BALL_M, 1e3 * PITCH_M)
     assert found.others == ()
     assert found.least <= 1 / stated <= found.most
-    assert found.ratio == pytest.approx(1 / stated, rel=0.35)
+    assert 0.6 < found.ratio * stated < 1.7  # misfits hardly differ within the range that fits
     assert found.is_possible == (stated == 1) == (not doubts) == bool(found.list_facts())
     assert all(word in "".join(doubts) for word in ("`ball_radius`", "`mm_per_px`") if doubts)
 
