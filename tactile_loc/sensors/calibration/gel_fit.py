@@ -31,7 +31,7 @@ from tactile_loc.sensors.reading.circles import TUKEY, Circle, compare_colours, 
 DEPTHS = np.linspace(0.12, 1.22, 171) ** 2  # in radii of the ball; the contacts' radii are about evenly spaced
 RINGS, WIDTH = 72, 2.6  # rings of equal width around a ball's axis, and the radius of them all, in radii of the ball
 WAVES = np.concatenate([[0.0], np.geomspace(1e-3, 0.1, 9), np.arange(0.13, 40.0, 0.13)])  # borders, radians per ring
-NODES = 4  # of the integration between two of these wave numbers
+NODES = 8  # of the integration between two of these wave numbers
 EDGE = 0.11  # part of the outermost pressed ring that does not touch: so the contact on a half-space is right
 THICKNESSES_M = 1e-3 * np.geomspace(1.5, 24.0, 9)  # tried; errors of gels between them are interpolated
 COATINGS_M = 1e-3 * np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])

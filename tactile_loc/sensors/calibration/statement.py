@@ -25,8 +25,8 @@ from tactile_loc.sensors.calibration.gel_fit import FEWEST, SEEN, BallImage, cho
 from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.reading.circles import compare_colours, thin
 
-LIMIT = 1.25  # largest misfit of a possible radius, in least misfits; right statements have at most 1.10
-PRECISION = 0.04  # of the modelled profiles, as a share: few gels are tried
+LIMIT = 1.2  # largest misfit of a possible radius, in least misfits; right statements have at most 1.12
+PRECISION = 0.02  # of the modelled profiles, as a share: few gels are tried
 STEPS = 16  # distances per octave; assumed radii differ by two steps
 OCTAVES = 1.5  # largest ratio of an assumed radius to the stated one
 NEAREST, FARTHEST = 0.15, 3.0  # distances from a circle's centre at which colours are compared, in radii

@@ -77,7 +77,7 @@ def test_rings_of_pressure_agree_with_the_solver_on_pixels(gel):
     reach = np.where(away < BALL_M, DEPTHS[chosen] * BALL_M - below, -np.inf).astype(np.float32)
     solved = make_solver(gel, reach.shape, (pitch_m, pitch_m)).press(reach[None], 20).displacement_m[0]
     wanted = np.interp(away, pressed.away_m, pressed.surface_m[chosen])
-    np.testing.assert_allclose(solved[away < 5e-3], wanted[away < 5e-3], atol=0.012 * DEPTHS[chosen] * BALL_M)
+    np.testing.assert_allclose(solved[away < 6e-3], wanted[away < 6e-3], atol=0.012 * DEPTHS[chosen] * BALL_M)
 
 
 def test_a_label_is_the_gel_in_and_around_the_contact():

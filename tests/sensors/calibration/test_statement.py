@@ -6,7 +6,7 @@ from ball_helpers import BALL_M, PITCH_M, UNTOUCHED, draw_press
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.sensors.calibration.statement import check_statement
 
-GEL = Gel(4e-3, coating_m=2e-4)
+GEL = Gel(8e-3, coating_m=2e-4)
 DEEP_M = 4e-4, 2.2e-3  # least and largest press depth
 COUNT = 10
 NAMES = [f"{number}.png" for number in range(COUNT)]
