@@ -58,7 +58,7 @@ def test_contacts_are_found_although_circles_are_off(drawn, fit, in_shadow):
     assert np.abs(np.log(ratios)).max() < 0.06
     assert again.is_elastic
     assert again.contact == pytest.approx(1 / WIDER, abs=0.06)  # of circles that are up to 6 % too wide or too narrow
-    assert again.thickness_m == pytest.approx(4e-3, rel=0.3)
+    assert again.thickness_m == pytest.approx(4e-3, rel=0.4 if in_shadow else 0.3)  # a shadow looks like a thinner gel
 
 
 def test_right_circles_are_kept(drawn, fit):
