@@ -26,7 +26,7 @@ import numpy as np
 from asked import ROOT, load_asked, make_parser, name_asked, write_head
 from planted import KINDS, Spot, alter
 from tactile_loc_benchmark.sources.taxim_images import TaximImages
-from tactile_loc_inspect import comparison, inspection, scan
+from tactile_loc_inspect import comparison, inspection
 
 from tactile_loc import ObjectModel, RobotTouches, Touch, make_noise
 from tactile_loc.core.runtime.errors import TactileLocError, TouchError
@@ -37,7 +37,10 @@ from tactile_loc.plugin.helpers import exponential, invert
 
 SIZES_MM = (0.1, 0.2, 0.3, 0.5)
 READINGS = {"clean": SIZES_MM, "noisy": SIZES_MM, "elastic": SIZES_MM, "images": (0.2, 0.5)}  # with sizes, mm
-MESHES, VERSION = ROOT.parent / "shared" / "data" / "meshes" / "automate", 1  # the version of the presses
+MESHES, VERSION = (
+    ROOT.parent / "shared" / "data" / "meshes" / "automate",
+    2,
+)  # increase it if the results change
 NAMES = (
     "00187_socket 00486_plug 00731_socket 00296_plug 00514_socket 00652_plug 00103_plug 00016_socket 01053_plug "
     "00014_plug 00345_plug 00437_plug"
@@ -113,7 +116,7 @@ def inspect(presser: Presser, part: ObjectModel, known: ObjectModel, spot: Spot,
 
 @dataclass(frozen=True)
 class PartJob:
-    """All cases of one part with one kind of reading: clean presses, and each difference of each size once."""
+    """Cases of one part with one kind of reading: clean presses or, if their number is 0, each difference once."""
 
     key: str
     store: Path
@@ -124,7 +127,7 @@ class PartJob:
         """Return a row for each case."""
         presser, rows = open_presser(self.reading, self.store), []
         cases = [("clean", 0.0, n) for n in range(self.clean)]
-        cases += [(*one, 100 + n) for n, one in enumerate(itertools.product(KINDS, READINGS[self.reading]))]
+        cases = cases or [(*one, 100 + n) for n, one in enumerate(itertools.product(KINDS, READINGS[self.reading]))]
         for (kind, size, number), tried in itertools.product(cases, range(DRAWS)):
             if rows and rows[-1]["number"] == number:
                 continue
@@ -184,11 +187,10 @@ def main() -> None:
     parser.add_argument("--clean", type=int, default=17, help="clean inspections of each part")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "inspect-parts", help="folder of the finished jobs")
     asked = parser.parse_args()
-    code = b"".join(Path(str(one.__file__)).read_bytes() for one in (comparison, scan, inspection))
     queue = []
-    for reading, name in itertools.product(asked.readings, asked.objects):
-        key = hashlib.sha256(code + repr((VERSION, name_asked(name), reading, asked.clean)).encode()).hexdigest()[:32]
-        job = PartJob(key, asked.out, reading, asked.clean)
+    for reading, clean, name in itertools.product(asked.readings, (asked.clean, 0), asked.objects):
+        key = hashlib.sha256(repr((VERSION, name_asked(name), reading, clean)).encode()).hexdigest()[:32]
+        job = PartJob(key, asked.out, reading, clean)
         queue.append(QueuedJob(job, load_asked(name), f"{reading}, {name_asked(name)}", {"reading": reading}))
     outcomes, _ = resume_jobs("inspecting parts", queue, asked.out, Here())
     found = [(one.about["reading"], outcomes[one.job.key]) for one in queue]

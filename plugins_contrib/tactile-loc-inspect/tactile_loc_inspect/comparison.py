@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, gaussian_filter, uniform_filter
+from scipy.ndimage import binary_erosion, gaussian_filter, maximum_filter, uniform_filter
 from tactile_loc.plugin import Scene, SensorGeometry, View
 from tactile_loc.plugin.helpers import exponential, invert, transform_points
 
@@ -26,7 +26,7 @@ ABOVE_M = 8e-4  # and up to this distance from the undeformed gel
 NEAR_M = 5e-4  # a larger difference counts as this much in a misfit
 PRIOR_STD = np.array([1e-2] * 3 + [3e-4] * 3)  # of the given pose, about and along each axis: radians and metres
 STEPS = np.array([2e-3] * 3 + [2e-5] * 3)  # of a twist, for derivatives: radians and metres
-ROUGH_M, SCALES_M = (2e-4, 1e-4, 5e-5), (5e-5, 3e-5, 3e-5)  # of the weights in each round of both fits
+ROUGH_M, SCALES_M = (None, None, 2e-4, 1e-4), (1e-4, 5e-5, 3e-5, 3e-5)  # of the weights in each round of both fits
 BLURS_M = (0.0, 1e-4, 1.5e-4, 2e-4, 3e-4, 4e-4)  # of the sensor, which are tried
 BLUR_GAIN = 0.97  # a blur is used if it reduces the misfit to this share
 SMOOTHING_M = 1.5e-4  # of both imprints in the fit of the pose, so that outlines have slopes
@@ -207,6 +207,8 @@ def _compare(image: TouchImage, fitted: FittedPose) -> Comparison:
     everywhere = image.compare_everywhere(fitted.model_m)
     rough_m = measure_roughness(fitted.model_m)
     noise_m = measure_noise(everywhere, rough_m)
+    if image.geometry.gel.is_elastic:  # where the gel leaves an edge is less exact
+        rough_m = maximum_filter(rough_m, 3)
     reliable = np.ones_like(everywhere.known)
     if image.blur_m:
         sharp_m = dataclasses.replace(image, blur_m=0.0).draw(fitted.T[None])[0]

@@ -52,7 +52,7 @@ class Limits:
         return one.touches >= (self.bounds if one.at_least else self.touches)
 
 
-EXACT = Limits(4.0, 1, 1)
+EXACT = Limits(8.0, 1, 1)
 NOISY = Limits(5.0, 2, 3)
 
 
