@@ -37,15 +37,12 @@ from tactile_loc.plugin.helpers import exponential, invert
 
 SIZES_MM = (0.1, 0.2, 0.3, 0.5)
 READINGS = {"clean": SIZES_MM, "noisy": SIZES_MM, "elastic": SIZES_MM, "images": (0.2, 0.5)}  # with sizes, mm
-MESHES, VERSION = (
-    ROOT.parent / "shared" / "data" / "meshes" / "automate",
-    2,
-)  # increase it if the results change
+MESHES = ROOT.parent / "shared" / "data" / "meshes" / "automate"
 NAMES = (
     "00187_socket 00486_plug 00731_socket 00296_plug 00514_socket 00652_plug 00103_plug 00016_socket 01053_plug "
     "00014_plug 00345_plug 00437_plug"
 )
-TOUCHES, DRAWS, SEED, NEAR_M, GEL = 3, 60, 5, 3e-3, Gel(4e-3)
+TOUCHES, DRAWS, SEED, NEAR_M, GEL, VERSION = 3, 60, 5, 3e-3, Gel(4e-3), 2  # increase VERSION if results change
 TILT_RAD, ASIDE_M, PRESS, POSE_STD = 0.05, 6e-4, (0.4, 0.8), np.array([3.5e-3] * 3 + [1e-4] * 3)
 
 
@@ -108,8 +105,7 @@ def inspect(presser: Presser, part: ObjectModel, known: ObjectModel, spot: Spot,
         fits["robust"] = [one.T for one in comparison.compare_touches(views, true)]
         motion = functools.partial(inspection.measure_motion, known)
         moved_m = {name: max(map(motion, true, some)) for name, some in fits.items()}
-    peak = next(iter(near), None)
-    height = [abs(peak.height_m), peak.std_m] if peak and not peak.at_least else None
+    height = [abs(near[0].height_m), near[0].std_m] if near and not near[0].at_least else None
     row = {"found": len(found.differences), "near": len(near), "detectable_m": min(found.detectable_m, 1.0)}
     return {**row, "height": height, "moved_m": moved_m}
 
