@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MOST = 4
 READ_PANELS = "known", "estimated", "along x, at the deepest point"
 USED, DROPPED = "#ffffff", "#e03131"
-TILE_INCH, MOST_COLUMNS = 1.9, 8
+TILE_INCH, NAMED_INCH, MOST_COLUMNS = 1.9, 0.42, 8  # width of a tile, and height of its title
 STRONG = 0.995  # quantile of the absolute colour changes that reaches the end of the drawn range
 LONGEST = 30  # characters of a name
 
@@ -109,9 +109,12 @@ def draw_labels(found: FoundPresses, title: str) -> Figure:
     count = len(found.presses) + 1
     columns = min(MOST_COLUMNS, max(3, math.ceil(math.sqrt(count))))
     height, width = found.untouched.shape[:2]
-    rows, tile = -(-count // columns), TILE_INCH * height / width + 0.42
-    figure = make_figure(TILE_INCH * columns + 0.2, tile * rows + 0.6, constrained=True, title=title)
-    tiles: list[Any] = list(add_panels(figure, count, columns).flat)
+    rows, tile = -(-count // columns), TILE_INCH * height / width
+    wide, high = TILE_INCH * columns + 0.2, (tile + NAMED_INCH) * rows + 0.5
+    figure = make_figure(wide, high, title=title)
+    gaps = {"wspace": 0.05, "hspace": NAMED_INCH / tile}
+    borders = {"left": 0.1 / wide, "right": 1 - 0.1 / wide, "bottom": 0.1 / high, "top": 1 - (0.4 + NAMED_INCH) / high}
+    tiles: list[Any] = list(add_panels(figure, count, columns, gridspec_kw={**borders, **gaps}).flat)
     for axes in tiles:
         axes.set(xticks=[], yticks=[])
     tiles[0].imshow(found.untouched)
