@@ -18,7 +18,6 @@ import argparse
 import json
 import sys
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -129,6 +128,21 @@ def summarise(score: Score, off_m: list[float], presses: int) -> dict[str, float
     }
 
 
+def measure(out: Path, folders: int, presses: int) -> dict[str, list[list[dict[str, float]]]]:
+    """Return, for each sensor, what its calibrations say about each folder. Finished folders are in `out`."""
+    sources = make_sources()
+    localizers = [calibrate(source, out / f"sensor-{index}") for index, source in enumerate(sources.values())]
+    rows: dict[str, list[list[dict[str, float]]]] = {name: [] for name in sources}
+    for number in range(folders):
+        for index, (name, source) in enumerate(sources.items()):
+            kept = out / f"sensor-{index}" / f"folder-{number}-{presses}.json"
+            if not kept.is_file():
+                kept.write_text(json.dumps(press_folder(source, localizers[index], number, presses)))
+            rows[name].append(json.loads(kept.read_text()))
+            print(name, number, [round(row["points"], 1) for row in rows[name][-1]], file=sys.stderr, flush=True)
+    return rows
+
+
 def main() -> None:
     """Measure, and print two tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -136,31 +150,22 @@ def main() -> None:
     parser.add_argument("--presses", type=int, default=4)
     parser.add_argument("--out", type=Path, help="folder of calibrations and finished folders")
     arguments = parser.parse_args()
-    ranked, lines = [], []
     with tempfile.TemporaryDirectory() as temporary:
-        for index, (name, source) in enumerate(make_sources().items()):
-            folder, start = (arguments.out or Path(temporary)) / f"sensor-{index}", time.process_time()
-            localizers = calibrate(source, folder)
-            rows = []
-            for number in range(arguments.folders):
-                kept = folder / f"folder-{number}-{arguments.presses}.json"
-                if not kept.is_file():
-                    kept.write_text(json.dumps(press_folder(source, localizers, number, arguments.presses)))
-                rows.append(json.loads(kept.read_text()))
-                print(name, number, [round(row["points"], 1) for row in rows[-1]], file=sys.stderr, flush=True)
-            keys = tuple(rows[0][0])
-            values = np.array([[[row[key] for key in keys] for row in some] for some in rows])  # folders, STATED, keys
-            points = values[..., 0]
-            better = points[:, :-1] > points[:, 1:]
-            shares = (100 * better.all(axis=1).mean(), *(100 * better.mean(axis=0)))
-            ranked.append(f"| {name} | {len(rows)} | {' | '.join(f'{share:.0f}' for share in shares)} |")
-            for k, stated in enumerate(STATED):
-                mean = dict(zip(keys, np.nanmean(values[:, k], axis=0), strict=True))
-                cells = f"{mean['points']:.1f} +- {points[:, k].std():.1f} | {mean['calibration']:.3f} | "
-                cells += f"{mean['heights']:.0f} | {mean['between']:.2f} | {mean['shift']:.2f} | "
-                cells += f"{mean['located']:.0f} | {mean['certain']:.0f}"
-                lines.append(f"| {name} | {100 * (stated - 1):.0f} | {cells} |")
-            print(f"{name}: {time.process_time() - start:.0f} s of a processor", file=sys.stderr)
+        rows = measure(arguments.out or Path(temporary), arguments.folders, arguments.presses)
+    ranked, lines = [], []
+    for name, some in rows.items():
+        keys = tuple(some[0][0])
+        values = np.array([[[row[key] for key in keys] for row in one] for one in some])  # folders, STATED, keys
+        points = values[..., 0]
+        better = points[:, :-1] > points[:, 1:]
+        shares = (100 * better.all(axis=1).mean(), *(100 * better.mean(axis=0)))
+        ranked.append(f"| {name} | {len(some)} | {' | '.join(f'{share:.0f}' for share in shares)} |")
+        for k, stated in enumerate(STATED):
+            mean = dict(zip(keys, np.nanmean(values[:, k], axis=0), strict=True))
+            cells = f"{mean['points']:.1f} +- {points[:, k].std():.1f} | {mean['calibration']:.3f} | "
+            cells += f"{mean['heights']:.0f} | {mean['between']:.2f} | {mean['shift']:.2f} | "
+            cells += f"{mean['located']:.0f} | {mean['certain']:.0f}"
+            lines.append(f"| {name} | {100 * (stated - 1):.0f} | {cells} |")
     print(write_head("sensor", "folders", "ranked (%)", "right above 12 % (%)", "12 % above 30 % (%)"))
     print("\n".join(ranked))
     heads = (
