@@ -3,10 +3,10 @@
 
 The images of two sensors are drawn by Taxim. Those of the third are drawn with the lamps of a DIGIT, and its gel is an
 elastic layer that ContactMechanics solves. Each sensor is calibrated three times on the same images of a ball: with the
-right radius, and with a radius stated too large by 12 % and by 30 %. The GelSight is also calibrated with a radius
-stated too small by 12 % and by 23 %. Each of `--folders` folders has `--presses` presses at random numbered places,
-with an error of the hand of 0.2 mm along and 1 degree about each axis, and a press of 0.4 to 0.9 mm. All calibrations
-score the same images. To save time, poses are not polished with the photos' outlines, as the command does.
+right radius, and with a radius stated too large by 12 % and by 30 %. Each of `--folders` folders has `--presses`
+presses at random numbered places, with an error of the hand of 0.2 mm along and 1 degree about each axis, and a press
+of 0.4 to 0.9 mm. The three calibrations score the same images. To save time, poses are not polished with the photos'
+outlines, as the command does.
 
 `ranked` is the share of the folders in which a better calibration has more points. Scores are means over the folders,
 and `+-` are standard deviations. They are of the pressed places only. Heights are read heights as a share of the true
@@ -40,11 +40,11 @@ from tactile_loc.sensors.optics.lamps import choose_optics
 from tactile_loc.sensors.optics.shading import render_images
 
 MM = 1e3
-LARGE, SMALL = (1.0, 1.12, 1.3), (1.0, 0.88, 0.77)  # stated radius of the ball, as a multiple of its radius
+STATED = (1.0, 1.12, 1.3)  # stated radius of the ball, as a multiple of its radius
 HAND_M, HAND_RAD = 2e-4, np.radians(1.0)
 PRESS_M = (4e-4, 9e-4)
 GEL_M, POISSON = 4e-3, 0.48
-SEED = 11
+SEED = 12  # the score's form was chosen on folders of seed 11
 
 
 class LampImages:
@@ -58,21 +58,17 @@ class LampImages:
         return render_images(moved_m[None], scene.geometry, choose_optics("digit"), rng)[0]
 
 
-def make_sources() -> dict[str, tuple[Any, tuple[float, ...]]]:
-    """Return what draws the images of each sensor, and the radii that are stated for its calibrations."""
-    mini, gelsight = (TaximImages(TaximImages.Options(sensor=make)) for make in ("gelsight-mini", "gelsight"))
-    return {
-        "Taxim, GelSight (too large)": (gelsight, LARGE),
-        "Taxim, GelSight Mini (too large)": (mini, LARGE),
-        "elastic layer, DIGIT's lamps (too large)": (LampImages(), LARGE),
-        "Taxim, GelSight (too small)": (gelsight, SMALL),
-    }
+def make_sources() -> dict[str, Any]:
+    """Return what draws the images of each sensor."""
+    makes = {"Taxim, GelSight": "gelsight", "Taxim, GelSight Mini": "gelsight-mini"}
+    taxim = {name: TaximImages(TaximImages.Options(sensor=make)) for name, make in makes.items()}
+    return {**taxim, "elastic layer, DIGIT's lamps": LampImages()}
 
 
-def calibrate(source: Any, radii: tuple[float, ...], folder: Path) -> list[Localizer]:
-    """Return localizers of the test object with the calibrations by stated radii."""
+def calibrate(source: Any, folder: Path) -> list[Localizer]:
+    """Return localizers of the test object with the calibrations by STATED."""
     balls, localizers, images = BallPresses(), [], None
-    for stated in radii:
+    for stated in STATED:
         out = folder / f"{stated:g}"
         if not (out / "sensor").is_dir():
             images = images or press_ball(source, source._camera, balls)
@@ -123,6 +119,7 @@ def summarise(score: Score, off_m: list[float], presses: int) -> dict[str, float
     """Return the figures of a folder and a calibration."""
     return {
         "points": score.points * len(PLACES) / presses,
+        "shape": score.shape_points * len(PLACES) / presses,
         "calibration": MM * (score.calibration_m or np.nan),
         "heights": 100 * (score.height_scale or np.nan),
         "between": MM * (score.between_places_m or np.nan),
@@ -135,11 +132,11 @@ def summarise(score: Score, off_m: list[float], presses: int) -> dict[str, float
 def measure(out: Path, folders: int, presses: int) -> dict[str, list[list[dict[str, float]]]]:
     """Return, for each sensor, what its calibrations say about each folder. Finished folders are in `out`."""
     sources = make_sources()
-    localizers = [calibrate(*chosen, out / f"sensor-{index}") for index, chosen in enumerate(sources.values())]
+    localizers = [calibrate(source, out / f"sensor-{index}") for index, source in enumerate(sources.values())]
     rows: dict[str, list[list[dict[str, float]]]] = {name: [] for name in sources}
     for number in range(folders):
-        for index, (name, (source, _)) in enumerate(sources.items()):
-            kept = out / f"sensor-{index}" / f"folder-{number}-{presses}.json"
+        for index, (name, source) in enumerate(sources.items()):
+            kept = out / f"sensor-{index}" / f"folder-{SEED}-{number}-{presses}.json"
             if not kept.is_file():
                 kept.write_text(json.dumps(press_folder(source, localizers[index], number, presses)))
             rows[name].append(json.loads(kept.read_text()))
@@ -159,14 +156,16 @@ def main() -> None:
     ranked, lines = [], []
     for name, some in rows.items():
         keys = tuple(some[0][0])
-        values = np.array([[[row[key] for key in keys] for row in one] for one in some])  # folders, radii, keys
+        values = np.array([[[row[key] for key in keys] for row in one] for one in some])  # folders, STATED, keys
         points = values[..., 0]
         better = points[:, :-1] > points[:, 1:]
         shares = (100 * better.all(axis=1).mean(), *(100 * better.mean(axis=0)))
         ranked.append(f"| {name} | {len(some)} | {' | '.join(f'{share:.0f}' for share in shares)} |")
-        for k, stated in enumerate(make_sources()[name][1]):
+        for k, stated in enumerate(STATED):
             mean = dict(zip(keys, np.nanmean(values[:, k], axis=0), strict=True))
-            cells = f"{mean['points']:.1f} +- {points[:, k].std():.1f} | {mean['calibration']:.3f} | "
+            cells = (
+                f"{mean['points']:.1f} +- {points[:, k].std():.1f} | {mean['shape']:.1f} | {mean['calibration']:.3f} | "
+            )
             cells += f"{mean['heights']:.0f} | {mean['between']:.2f} | {mean['shift']:.2f} | "
             cells += f"{mean['located']:.0f} | {mean['certain']:.0f}"
             lines.append(f"| {name} | {100 * (stated - 1):+.0f} | {cells} |")
@@ -174,6 +173,7 @@ def main() -> None:
     print("\n".join(ranked))
     heads = (
         "score",
+        "shape",
         "calibration (mm)",
         "heights (%)",
         "between places (mm)",

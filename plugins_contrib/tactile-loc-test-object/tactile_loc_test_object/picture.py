@@ -76,7 +76,7 @@ def make_score_page(found: Score, folder: Path) -> Page:
 
     calibration, scale = found.calibration_m, found.height_scale
     numbers = [
-        ("score", f"{found.points:.1f}", "of 100 points"),
+        ("score", f"{found.points:.1f}", f"shape {found.shape_points:.1f}, heights {found.height_points:.1f}"),
         ("located", f"{len(found.located)} of {len(found.presses)}", "photos, within 1 mm of where they should be"),
     ]
     if calibration is not None and scale is not None:

@@ -76,13 +76,36 @@ class Score:
         return "astray" if self._is_astray(press) else press.verdict
 
     def rate(self, press: Press) -> float:
-        """Return the points of a press, 0 to 100: 0 if it was not located."""
+        """Return the points of a press for the shape, 0 to 100: 0 if it was not located."""
         return 100 * press.surfaces.share if press.surfaces is not None and press in self.located else 0.0
+
+    @cached_property
+    def shape_points(self) -> float:
+        """The mean over all places of the mean points of their presses, 0 to 100. Missing places count 0."""
+        return sum(weight * self.rate(press) for press, weight in self._weigh())
+
+    @cached_property
+    def height_points(self) -> float:
+        """The share of located presses minus the mean error of their height scales, 0 to 100.
+
+        The mean has a sign, so that errors of single shapes cancel. A scale error counts as 1 at most. So the points of
+        a press that is refused are never less than what its scale cost.
+        """
+        found = [(weight, press.surfaces.scale) for press, weight in self._weigh(True) if press.surfaces is not None]
+        off = sum(weight * (min(max(scale, 0.0), 2.0) - 1) for weight, scale in found)
+        return 100 * (sum(weight for weight, _ in found) - abs(off))
 
     @property
     def points(self) -> float:
-        """The score, 0 to 100: the mean over all places of the mean points of their presses. Missing places count 0."""
-        return float(np.mean([np.mean([0.0, *map(self.rate, some)][bool(some) :]) for some in self.by_place.values()]))
+        """The score, 0 to 100: the mean of the points for the shape and for the heights. No refusal adds points."""
+        return (self.shape_points + self.height_points) / 2
+
+    def _weigh(self, located: bool = False) -> Iterator[tuple[Press, float]]:
+        """Yield each press with its weight, or the located ones only. All places weigh the same."""
+        for some in self.by_place.values():
+            for press in some:
+                if not located or press in self.located:
+                    yield press, 1 / (len(PLACES) * len(some))
 
     @property
     def calibration_m(self) -> float | None:
@@ -123,7 +146,8 @@ class Score:
         """Yield the score in words."""
         places = {press.photo.place.number for press in self.located}
         yield (
-            f"score: {self.points:.1f} of 100; {len(self.located)} of {len(self.presses)} photos located, "
+            f"score: {self.points:.1f} of 100 (shape {self.shape_points:.1f}, heights {self.height_points:.1f}); "
+            f"{len(self.located)} of {len(self.presses)} photos located, "
             f"{len(places)} of {len(PLACES)} places"
         )
         if self.calibration_m is None or self.height_scale is None:
@@ -176,6 +200,8 @@ class Score:
             "versions": {name: version(name) for name in ("tactile-loc", f"tactile-loc-{NAME}")},
             "sensor": sensor,
             "score": round(self.points, 1),
+            "shape": round(self.shape_points, 1),
+            "heights": round(self.height_points, 1),
             "photos": len(self.presses),
             "places": sum(map(bool, self.by_place.values())),
             "located": len(self.located),

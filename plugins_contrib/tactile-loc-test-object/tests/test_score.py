@@ -54,7 +54,8 @@ def test_a_right_sensor_loses_no_points_by_its_middle(right):
     score = Score(tuple(right))
     assert len(score.located) == len(FEW)
     assert min(map(score.rate, right)) > 85
-    assert score.points == pytest.approx(sum(map(score.rate, right)) / len(PLACES))
+    assert score.shape_points == pytest.approx(sum(map(score.rate, right)) / len(PLACES))
+    assert score.height_points == pytest.approx(100 * len(FEW) / len(PLACES), abs=2)
     assert score.height_scale == pytest.approx(1, abs=0.05)
     np.testing.assert_allclose(score.middle_m, MIDDLE_M, atol=1e-4)
     assert score.between_places_m < 1e-4
@@ -79,6 +80,16 @@ def test_refused_and_missing_photos_never_add_points(right):
         assert Score((*without, refused)).points < all_of_them
     assert Score((Press(right[0].photo, "no contact"),)).points == 0
     assert Score((Press(right[0].photo, "no contact"),)).calibration_m is None
+
+
+@pytest.mark.parametrize("scales", [(1.9, 1.0, 0.9), (0.2, 1.1, 1.1), (5.0, 1.2, 1.3), (-1.0, 0.8, 0.9)])
+def test_no_refusal_adds_points_whatever_the_heights(right, scales):
+    pairs = zip(right, scales, strict=True)
+    presses = [replace(one, surfaces=replace(one.surfaces, scale=scale)) for one, scale in pairs]
+    points = Score(tuple(presses)).height_points
+    for number, one in enumerate(presses):
+        refused = [*presses[:number], Press(one.photo, "no contact"), *presses[number + 1 :]]
+        assert Score(tuple(refused)).height_points <= points + 1e-9
 
 
 def test_a_press_far_from_the_others_is_astray(right):
