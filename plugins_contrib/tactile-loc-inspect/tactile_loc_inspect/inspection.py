@@ -101,8 +101,9 @@ class Inspection:
     noisy reading. `detectable_m` is the height of a difference that would have been found with 95 % probability at the
     touched places. `touched` is the share of the surface that enough touches show. `moved_m` is how far the differences
     move an ordinary pose: the largest displacement of a surface point. `refined_m` is how far the refinement moved the
-    given pose. `unexplained` is the share of the touched places that differ. `better` is the number of another pose,
-    from 1, that explains the touches better; None if there is none.
+    given pose. `unexplained` is the share of the touched places that differ. `from_images` states whether a touch was
+    read from an image. `better` is the number of another pose, from 1, that explains the touches better; None if there
+    is none.
     """
 
     object: ObjectModel
@@ -116,6 +117,7 @@ class Inspection:
     moved_m: float
     refined_m: float
     unexplained: float
+    from_images: bool = False
     better: int | None = None
 
     @property
@@ -140,6 +142,8 @@ class Inspection:
             notes.append(
                 f"{100 * self.unexplained:.0f} % of the touched surface differs, so the pose or the model may be wrong"
             )
+        if self.from_images and (self.differences or self.unconfirmed):
+            notes.append("readings from images also show differences on clean parts, so check each difference by eye")
         return notes
 
     def to_json(self) -> dict[str, Any]:
@@ -206,6 +210,7 @@ def inspect_part(
         max(measure_motion(obj, fit_plain_pose(view, one.T), one.T) for view, one in pairs) if enough else 0.0,
         max(measure_motion(obj, T, one.T) for T, one in zip(poses, comparisons, strict=True)),
         float((np.abs(found.ratios[1]) > limits.ratio).mean()),
+        any(view.touch.image is not None for view in views),
         find_better(views, comparisons, others or {}),
     )
 

@@ -1,5 +1,7 @@
 """Inspections of a plate with a step: clean, with a burr, with a dent, and at a wrong pose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inspect_helpers import TOP_M, make_burr, make_plate, misplace, press
@@ -29,6 +31,14 @@ def test_a_burr_is_found_at_its_place_with_its_height(height_mm):
     assert first.touches == 2
     assert found.describe().startswith("differs here: ")
     assert found.moved_m > 0
+
+
+def test_differences_of_touches_from_images_have_a_warning():
+    views = press(make_plate(make_burr(0.3)))
+    image = np.zeros((*views[0].touch.geometry.shape, 3), np.uint8)
+    photographed = [replace(one, touch=replace(one.touch, image=image)) for one in views]
+    warned, plain = (inspect_part(some, misplace(views)).list_notes() for some in (photographed, views))
+    assert len(warned) == len(plain) + 1
 
 
 def test_a_dent_is_found():
