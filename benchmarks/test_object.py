@@ -8,9 +8,9 @@ presses at random numbered places, with an error of the hand of 0.2 mm along and
 of 0.4 to 0.9 mm. The three calibrations score the same images. To save time, poses are not polished with the photos'
 outlines, as the command does.
 
-`ranked` is the share of the folders in which a better calibration has more points. Scores are means over the folders,
-and `+-` are standard deviations. They are of the pressed places only. Heights are read heights as a share of the true
-ones. `shift` is the RMS difference of the located from the true place, mm, and `certain` the share of certain presses.
+`ranked` is the share of the folders in which a better calibration has more points, and `pairs ranked` that of the mean
+points of two folders. Scores are means over the folders, of the pressed places only, and `+-` are standard deviations.
+Heights are read heights as a share of the true ones. `shift` is the RMS difference of the located from the true place, mm, and `certain` the share of certain presses.
 `--out` keeps the calibrations and the finished folders.
 """
 
@@ -159,7 +159,9 @@ def main() -> None:
         values = np.array([[[row[key] for key in keys] for row in one] for one in some])  # folders, STATED, keys
         points = values[..., 0]
         better = points[:, :-1] > points[:, 1:]
-        shares = (100 * better.all(axis=1).mean(), *(100 * better.mean(axis=0)))
+        pairs = points[: len(points) // 2 * 2].reshape(-1, 2, len(STATED)).mean(axis=1)
+        of_pairs = (pairs[:, :-1] > pairs[:, 1:]).all(axis=1).mean()
+        shares = (100 * better.all(axis=1).mean(), *(100 * better.mean(axis=0)), 100 * of_pairs)
         ranked.append(f"| {name} | {len(some)} | {' | '.join(f'{share:.0f}' for share in shares)} |")
         for k, stated in enumerate(STATED):
             mean = dict(zip(keys, np.nanmean(values[:, k], axis=0), strict=True))
@@ -169,7 +171,16 @@ def main() -> None:
             cells += f"{mean['heights']:.0f} | {mean['between']:.2f} | {mean['shift']:.2f} | "
             cells += f"{mean['located']:.0f} | {mean['certain']:.0f}"
             lines.append(f"| {name} | {100 * (stated - 1):+.0f} | {cells} |")
-    print(write_head("sensor", "folders", "ranked (%)", "right above small error (%)", "small above large error (%)"))
+    print(
+        write_head(
+            "sensor",
+            "folders",
+            "ranked (%)",
+            "right above small error (%)",
+            "small above large error (%)",
+            "pairs ranked (%)",
+        )
+    )
     print("\n".join(ranked))
     heads = (
         "score",
