@@ -9,9 +9,9 @@ of 0.4 to 0.9 mm. The three calibrations score the same images. To save time, po
 outlines, as the command does.
 
 `ranked` is the share of the folders in which a better calibration has more points, and `pairs ranked` that of the mean
-points of two folders. Scores are means over the folders, of the pressed places only, and `+-` are standard deviations.
-Heights are read heights as a share of the true ones. `shift` is the RMS difference of the located from the true place, mm, and `certain` the share of certain presses.
-`--out` keeps the calibrations and the finished folders.
+points of two folders. Scores are means over the folders, of the pressed places only, with standard deviations. Heights
+are read heights as a share of the true ones. `shift` is the RMS difference of the located from the true place, and
+`certain` the share of certain presses. `--out` keeps the calibrations and the finished folders.
 """
 
 import argparse
