@@ -1,5 +1,6 @@
 """Correct files, which are then damaged. The folder `whole` has the TOML files."""
 
+import json
 import shutil
 from io import BytesIO
 from pathlib import Path
@@ -34,6 +35,18 @@ def texts(names: str, folder: Path) -> None:
     """Copy TOML files into a folder."""
     for name in names.split():
         shutil.copy(WHOLE / f"{name}.toml", folder)
+
+
+def listed_poses(folder: Path) -> None:
+    """Write three lists of two poses with scores: results of BOP, arrays, and detections of ROS."""
+    row = "1,1,1,{},1 0 0 0 1 0 0 0 1,0 0 {},-1\n"
+    (folder / "bop.csv").write_text(
+        "scene_id,im_id,obj_id,score,R,t,time\n" + row.format(0.6, 25) + row.format(0.4, 30)
+    )
+    np.savez(folder / "arrays.npz", poses=np.stack([np.eye(4)] * 2), scores=[0.6, 0.4])
+    pose = {"position": {"x": 0.0, "y": 0.0, "z": 0.025}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    found = {"hypothesis": {"class_id": "pin", "score": 0.6}, "pose": {"pose": pose}}
+    (folder / "ros.json").write_text(json.dumps({"detections": [{"results": [found, found]}]}))
 
 
 def mesh(suffix: str, folder: Path, **options: object) -> None:

@@ -17,6 +17,7 @@ from tactile_loc.evaluation.sweep.plan import Plan, name_choices
 from tactile_loc.evaluation.sweep.tables import read_sweep
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.config import RunConfig
+from tactile_loc.io.listed_poses import read_listed_poses
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.io.mount_files import read_mount
 from tactile_loc.io.prior_files import read_prior
@@ -111,6 +112,13 @@ def _pin() -> ObjectModel:
 def _prior(path: Path) -> None:
     prior = read_prior(path, _pin()).view_from(np.eye(4))
     assert not np.isnan(prior(np.stack([np.eye(4)] * 3))).any(), "a prior without a value was accepted"
+
+
+def _listed(path: Path) -> None:
+    listed = read_listed_poses(path)
+    _require_rigid(*listed.T_camera_object)
+    for scale in ("log", "equal"):
+        assert abs(listed.weigh(scale).sum() - 1) < 1e-6, "scores without probabilities were accepted"
 
 
 def _mount(folder: Path) -> None:
@@ -222,6 +230,8 @@ _ALL = (
            f"{RUN} --prior FOLDER/gaussian.toml"),
     Reader("prior-encoded", partial(corpora.encoded_texts, "gaussian region"),
            lambda folder: _read_every(partial(_prior, path) for path in sorted(folder.iterdir()))),
+    Reader("listed-poses", corpora.listed_poses,
+           lambda folder: _read_every(partial(_listed, path) for path in sorted(folder.iterdir()))),
     Reader("mount", partial(corpora.texts, "mount"), _mount),
     Reader("configuration", partial(corpora.texts, "run"), _configuration, f"run --config FOLDER/run.toml {KEPT}",
            names_file=False),

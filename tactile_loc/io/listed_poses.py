@@ -12,7 +12,7 @@ import numpy as np
 
 from tactile_loc.core.geometry.rigid import Floats, Poses, make_transform, quaternion_to_rotation, require_rigid
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.store.arrays import convert_damage
+from tactile_loc.store.arrays import convert_damage, load_npz
 from tactile_loc.store.files import read_text
 
 Scale = Literal["proportional", "log", "equal"]
