@@ -119,13 +119,10 @@ def _read_numbers(text: str | None, count: int, name: str, row: int) -> Floats:
 
 
 def _read_arrays(path: Path) -> ListedPoses:
-    with np.load(path, allow_pickle=False) as arrays:
-        missing = {"poses", "scores"} - set(arrays)
-        if missing:
-            raise ConfigError(
-                f"there is no array {sorted(missing)[0]!r}; save poses (K, 4, 4), metres, and scores (K,)"
-            )
-        poses, scores = (np.asarray(arrays[name], float) for name in ("poses", "scores"))
+    arrays = load_npz(path, ("poses", "scores"))
+    if missing := {"poses", "scores"} - set(arrays):
+        raise ConfigError(f"there is no array {min(missing)!r}; save poses (K, 4, 4), metres, and scores (K,)")
+    poses, scores = (np.asarray(arrays[name], float) for name in ("poses", "scores"))
     if poses.ndim != 3 or poses.shape[1:] != (4, 4):
         raise ConfigError(f"poses has the shape {poses.shape}; it must be (K, 4, 4)")
     return ListedPoses(poses, scores)
