@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.runtime.lazy import import_ahead
 from tactile_loc.store.files import lock_folder, require_writable, write_json
@@ -116,6 +114,8 @@ def _locate_together(
 
 def _rank_listed(prior: FramedPrior, found: Localization) -> dict[str, Any]:
     """Show which of the poses that a prior lists are right, and return it; nothing for other priors."""
+    import numpy as np
+
     from tactile_loc.core.poses.priors import HypothesesPrior
     from tactile_loc_cli.results import say_ranks
 
