@@ -56,6 +56,8 @@ def test_the_likeliest_law_of_the_gel_locates_a_touch(localizer, touch, tmp_path
     found = localizer.localize(dataclasses.replace(touch, contact_shape=both))
     assert found.best.imprint_iou > alone.best.imprint_iou + 0.1
     assert found.touch.gel_law == "outlined layer"
+    assert found.touch.is_reading_of(dataclasses.replace(touch, contact_shape=both))
+    assert not found.touch.is_reading_of(touch)
     assert found.measure_errors_m(localizer.object)[0] < 5e-4
     found.save(tmp_path)
     read = Localization.load(tmp_path)

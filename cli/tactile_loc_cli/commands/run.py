@@ -106,9 +106,9 @@ def _locate_together(
     seconds = {"model": time.perf_counter() - start}
     alone = localize_together(observations[:1], known) if simulated else None
     localization = localize_together(observations, known)
-    located = [pair for pair in observations if any(pair[1] is touch for touch in localization.touches)]
+    first = next(one for one, touch in observations if localization.touch.is_reading_of(touch))
     drawing.join()
-    result = _report(located, localization, seconds, out, page, rerun, alone)
+    result = _report(first, localization, seconds, out, page, rerun, alone)
     return result if framed is None else {**result, **_rank_listed(framed, localization)}
 
 
@@ -174,7 +174,7 @@ def _simulate(localizer: Localizer) -> list[Touch]:
 
 
 def _report(
-    observations: list[tuple[Localizer, Touch]],
+    localizer: Localizer,
     localization: Localization,
     seconds: dict[str, float],
     out: Path,
@@ -184,14 +184,13 @@ def _report(
 ) -> dict[str, Any]:
     """Write the files of the result, and then show it. Return the result with the paths of the files.
 
-    `alone` is the result of the first simulated touch alone. The files come first, because the reader of the output may
-    close it early.
+    The `localizer` is that of the first located touch, and `alone` is the result of the first simulated touch alone. The
+    files come first, because the reader of the output may close it early.
     """
     from tactile_loc.locate.result.doubts import list_doubts
     from tactile_loc.planning.next_step import suggest_next_step
     from tactile_loc_cli.results import say_alone, say_result
 
-    localizer = observations[0][0]
     assessed = replace(localization.assessment, next_step=suggest_next_step(localization))
     localization = replace(localization, assessed=assessed, seconds={**seconds, **localization.seconds})
     written = _write_result(localization, localizer.scene, out, page, alone)

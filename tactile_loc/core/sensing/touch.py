@@ -252,6 +252,11 @@ class Touch:
             for gel, shape in self.contact_shape.otherwise
         ]
 
+    def is_reading_of(self, other: Touch) -> bool:
+        """Return whether this is the `other` touch, or this touch as another law of the gel reads its image."""
+        shape = other.contact_shape
+        return any(self.contact_shape is one for one in (shape, *(one for _, one in shape.otherwise)))
+
     @property
     def gel_law(self) -> str:
         """The law by which the gel is read: "rigid", "layer", or "outlined layer" if the contact's outline is known."""
