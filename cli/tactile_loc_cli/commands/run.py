@@ -184,7 +184,7 @@ def _report(
 ) -> dict[str, Any]:
     """Write the files of the result, and then show it. Return the result with the paths of the files.
 
-    The `localizer` is that of the first located touch, and `alone` is the result of the first simulated touch alone. The
+    The `localizer` is that of the first located touch. `alone` is the result of the first simulated touch alone. The
     files come first, because the reader of the output may close it early.
     """
     from tactile_loc.locate.result.doubts import list_doubts
