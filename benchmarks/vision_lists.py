@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_loc_benchmark.suite import read_split
 
 from tactile_loc import GaussianPrior, HypothesesPrior, Localizer, PoseJudge, Touch, Verdict
-from tactile_loc.core.geometry.rigid import make_transform, vector_to_rotation
+from tactile_loc.plugin.helpers import exponential
 
 LISTED = 10
 STD_M, STD_RAD = 2e-3, np.radians(3)  # errors of vision along and about each axis
@@ -27,12 +27,6 @@ SURE = 0.95
 Array = NDArray[np.float64]
 
 
-def turn_about(centre_m: Array, turn_rad: Array, shift_m: Array) -> Array:
-    """Return the motion (4, 4), metres, that turns about a point (3,) and then shifts; the turn is a vector (3,)."""
-    R = vector_to_rotation(turn_rad)
-    return make_transform(R, centre_m - R @ centre_m + shift_m)
-
-
 def draw_list(localizer: Localizer, T: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Return poses (LISTED, 4, 4), metres, the logs of their scores, and which are right, if T (4, 4) is true."""
     mesh = localizer.object.mesh
@@ -40,9 +34,9 @@ def draw_list(localizer: Localizer, T: Array, rng: np.random.Generator) -> tuple
     angles = np.concatenate([[0.0], np.repeat([np.pi, np.pi / 2], 3), rng.uniform(-np.pi, np.pi, 3)])
     poses, confusions = [], []
     for k, angle in enumerate(angles):
-        confused = T @ turn_about(mesh.centroid_m, angle * axes[k % 3], np.zeros(3))
+        confused = T @ exponential(np.concatenate([angle * axes[k % 3], np.zeros(3)]), mesh.centroid_m)
         seen_m = confused[:3, :3] @ mesh.centroid_m + confused[:3, 3]
-        error = turn_about(seen_m, STD_RAD * rng.normal(size=3), STD_M * rng.normal(size=3))
+        error = exponential(np.concatenate([STD_RAD * rng.normal(size=3), STD_M * rng.normal(size=3)]), seen_m)
         poses.append(error @ confused)
         confusions.append(confused)
     logs = SCORE_STD * rng.normal(size=LISTED)

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from tactile_loc.store.arrays import read_member as read_member
     from tactile_loc.store.files import list_files as list_files
     from tactile_loc.store.files import replace_file as replace_file
-    from tactile_loc.store.files import write_atomically as write_atomically
+    from tactile_loc.store.files import write_atomically as write_atomically, write_json as write_json
     from tactile_loc.store.files import replace_folder as replace_folder
 
 __all__, __getattr__, __dir__ = lazy_names(__name__)

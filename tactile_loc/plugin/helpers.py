@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from tactile_loc.bases.exact_matcher import ExactMatcher as ExactMatcher
 
     # rotations and transforms
-    from tactile_loc.core.geometry.lie import exponential as exponential
-    from tactile_loc.core.geometry.rigid import align_to_z as align_to_z, draw_rotations as draw_rotations
+    from tactile_loc.core.geometry.lie import exponential as exponential, logarithm as logarithm
+    from tactile_loc.core.geometry.rigid import align_to_z as align_to_z, axis_angle as axis_angle
+    from tactile_loc.core.geometry.rigid import draw_rotations as draw_rotations
     from tactile_loc.core.geometry.rigid import invert as invert, is_rigid as is_rigid
     from tactile_loc.core.geometry.rigid import make_transform as make_transform, make_translation as make_translation
     from tactile_loc.core.geometry.rigid import quaternion_to_rotation as quaternion_to_rotation

@@ -21,7 +21,7 @@ from tactile_loc.commands import (
     read_touches,
     say,
     say_written,
-    write_atomically,
+    write_json,
 )
 
 if TYPE_CHECKING:
@@ -76,8 +76,6 @@ def inspect(
     touched surface, and states its share. The exit code is 1 if the part differs, or if another pose explains the
     touches better.
     """
-    import json
-
     from tactile_loc import save_figure, write_page
 
     from tactile_loc_inspect.inspection import inspect_localization
@@ -89,7 +87,7 @@ def inspect(
         advance(1)
     document = found.to_json()
     written = [
-        write_atomically(out / "inspection.json", lambda file: file.write_text(json.dumps(document, indent=1))),
+        write_json(out / "inspection.json", document),
         save_figure(out / "inspection.png", draw_inspection(found)),
     ]
     written.append(write_page(make_inspection_page(found, located, written[1]), out / "report.html"))

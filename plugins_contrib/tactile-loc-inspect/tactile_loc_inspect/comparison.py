@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, gaussian_filter, maximum_filter, uniform_filter
 from tactile_loc.plugin import Scene, SensorGeometry, View
-from tactile_loc.plugin.helpers import exponential, invert, transform_points
+from tactile_loc.plugin.helpers import exponential, invert, logarithm, transform_points
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -61,12 +61,11 @@ class Differences:
 class Comparison:
     """A touch beside the model at the refined pose `T` (4, 4), in the frame of the touch's sensor.
 
-    `edge_std_m`
-    and `pose_std_m` (H, W) are the standard deviations of a difference that come from edges and from the pose.
-    `points_m` and `normals` (H, W, 3) are the model's surface in the object's frame. `cosines` (H, W) are those of the
-    angles between the sensor's axis and the normals. `noise_m` is the noise of the reading where the surface is flat,
-    and `blur_m` the sensor's blur. `misfit_m` is the mean absolute difference in contact, in which large ones count
-    as NEAR_M. All lengths are metres.
+    `edge_std_m` and `pose_std_m` (H, W) are the standard deviations of a difference that come from edges and from the
+    pose. `points_m` and `normals` (H, W, 3) are the model's surface in the object's frame. `cosines` (H, W) are those
+    of the angles between the sensor's axis and the normals. `noise_m` is the noise of the reading where the surface is
+    flat, and `blur_m` the sensor's blur. `misfit_m` is the mean absolute difference in contact, in which large ones
+    count as NEAR_M. All lengths are metres.
     """
 
     geometry: SensorGeometry
@@ -251,7 +250,7 @@ def fit_pose(
     held = np.diag(1 / PRIOR_STD**2)
     for scale_m in scales_m:
         H, g = _weigh(image, _draw_near(image, T, centre), scale_m)
-        twist = np.linalg.solve(H + held, -(g + held @ _find_twist(T @ invert(given), centre)))
+        twist = np.linalg.solve(H + held, -(g + held @ logarithm(T @ invert(given), centre)))
         T = exponential(twist / max(1.0, np.abs(twist / (2 * PRIOR_STD)).max()), centre) @ T
     drawn = _draw_near(image, T, centre)
     H, _ = _weigh(image, drawn, scales_m[-1])
@@ -282,13 +281,6 @@ def _weigh(image: TouchImage, drawn_m: Floats, scale_m: float | None) -> tuple[F
     rows = J.reshape(6, -1)
     weighted = rows * weights.ravel()
     return weighted @ rows.T, weighted @ off_m.ravel()
-
-
-def _find_twist(motion: Floats, centre: Floats) -> Floats:
-    """Return the twist (6,) of a small motion (4, 4): a rotation vector about the centre (3,), then a shift."""
-    R = motion[:3, :3]
-    turn = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
-    return np.concatenate([turn, transform_points(motion, centre)[0] - centre])
 
 
 def measure_roughness(depth_m: Floats) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from enum import StrEnum
@@ -23,6 +22,7 @@ from tactile_loc.commands import (
     say_table,
     say_written,
     write_atomically,
+    write_json,
 )
 
 DEFAULT_OUT = Path("tactile-loc-test-object")
@@ -105,8 +105,8 @@ def score(
     if missing := [str(place.number) for place in PLACES if not found.by_place[place.number]]:
         complain("warning", f"no photo of the places {', '.join(missing)}, which count as 0 points")
     written = [
-        write_atomically(out / "score.json", lambda file: file.write_text(json.dumps(document, indent=1))),
-        write_atomically(out / "row.json", lambda file: file.write_text(json.dumps(document["row"], indent=1))),
+        write_json(out / "score.json", document),
+        write_json(out / "row.json", document["row"]),
         write_page(make_score_page(found, folder), out / "report.html"),
     ]
     return {**document, "written": say_written(written)}

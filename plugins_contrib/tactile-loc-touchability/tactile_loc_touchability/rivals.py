@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import PoseModes, choose_next_touch
 from tactile_loc.plugin import ConfigError, ObjectModel, Poses
-from tactile_loc.plugin.helpers import PoseMetric, invert, rotation_angle
+from tactile_loc.plugin.helpers import PoseMetric, axis_angle, invert, rotation_angle
 
 from tactile_loc_touchability.study import Study
 from tactile_loc_touchability.words import write_place, write_share
@@ -183,7 +183,7 @@ def find_turn(motion: Poses, obj: ObjectModel, diameter_m: float) -> Turn | None
     angle, shift = float(rotation_angle(motion[:3, :3])), _find_shift(motion, obj)
     if angle < SMALL_TURN_RAD:
         return None
-    axis = find_axis(motion[:3, :3])
+    axis = axis_angle(motion[:3, :3])[1]
     across = shift - (shift @ axis) * axis
     beside = 0.5 * (across + np.cross(axis, across) / np.tan(angle / 2))
     if abs(shift @ axis) > SHIFTED * diameter_m or np.linalg.norm(beside) > FAR * diameter_m:
@@ -205,21 +205,13 @@ def describe_motions(motions: Poses, obj: ObjectModel, diameter_m: float) -> tup
     moved = f"moved by {1e3 * np.linalg.norm(shift):.1f} mm along {name_direction(shift)}"
     if rotation_angle(R) < SMALL_TURN_RAD:
         return moved, "these places look alike along this direction"
-    turned = f"turned by {np.degrees(rotation_angle(R)):.0f} degrees about {name_direction(find_axis(R))}"
+    turned = f"turned by {np.degrees(rotation_angle(R)):.0f} degrees about {name_direction(axis_angle(R)[1])}"
     return f"{turned} and {moved}", "two places of the part look alike"
 
 
 def _find_shift(motion: Poses, obj: ObjectModel) -> Floats:
     """Return how a motion (4, 4) moves the object's centre, (3,), metres."""
     return np.asarray(motion[:3, :3] @ obj.mesh.centroid_m + motion[:3, 3] - obj.mesh.centroid_m)
-
-
-def find_axis(R: Floats) -> Floats:
-    """Return the axis (3,) of a rotation (3, 3), about which it turns by 0 to 180 degrees."""
-    values, vectors = np.linalg.eig(R)
-    axis = np.real(vectors[:, np.abs(values - 1).argmin()])
-    sign = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) @ axis
-    return np.asarray(axis if sign >= 0 else -axis)
 
 
 def name_direction(vector: Floats) -> str:

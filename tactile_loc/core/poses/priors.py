@@ -170,8 +170,7 @@ class HypothesesPrior(PosePrior):
             raise ConfigError(f"a prior has {len(self.hypotheses)} hypotheses and {found.size} probabilities")
         if not ((found >= 0).all() and np.isclose(found.sum(), 1.0)):
             raise ConfigError(f"the probabilities of hypotheses are {found.tolist()}; give numbers with the sum 1")
-        if not 0 <= self.floor < 1:
-            raise ConfigError(f"the floor of a prior is {self.floor}; give at least 0 and less than 1")
+        _require_floor(self.floor, "a prior")
 
     def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return the log-weights (N,) of poses (N, 4, 4), metres."""
@@ -271,8 +270,7 @@ class PosteriorPrior(PosePrior):
         object.__setattr__(self, "T_new_old", require_rigid(self.T_new_old, "T_new_old of a posterior prior"))
         if not 0 <= self.std_m < np.inf:
             raise ConfigError(f"std_m of a posterior prior is {self.std_m}; give a length of at least 0")
-        if not 0 <= self.floor < 1:
-            raise ConfigError(f"the floor of a posterior prior is {self.floor}; give at least 0 and less than 1")
+        _require_floor(self.floor, "a posterior prior")
 
     def __call__(self, T_sensor_object: Poses) -> Floats:
         """Return the log-weights (N,) of poses (N, 4, 4), metres."""
@@ -349,6 +347,11 @@ def temper(prior: Prior, power: Callable[[int], float]) -> Prior:
     A prior that is not a PosePrior is returned unchanged.
     """
     return prior.temper(power) if isinstance(prior, PosePrior) else prior
+
+
+def _require_floor(floor: float, what: str) -> None:
+    if not 0 <= floor < 1:
+        raise ConfigError(f"the floor of {what} is {floor}; give at least 0 and less than 1")
 
 
 def _require_numbers(values: ArrayLike, what: str) -> Floats:
