@@ -30,7 +30,7 @@ from tactile_loc_benchmark.sources.elastic import find_reach_m
 from tactile_loc_benchmark.sources.layer import press_layer
 from tactile_loc_benchmark.sources.taxim_images import TaximImages
 from tactile_loc_test_object.score import Score
-from tactile_loc_test_object.scoring import Photo, Press, find_nominal_pose, locate_press
+from tactile_loc_test_object.scoring import Photo, ScoredPress, find_nominal_pose, locate_press
 from tactile_loc_test_object.shape import PLACES, make_object
 
 from tactile_loc import Localizer, RunConfig, SensorGeometry, StageStore, label_presses
@@ -88,7 +88,7 @@ def press_folder(source: Any, localizers: list[Localizer], number: int, presses:
     """Return what each calibration says about one folder."""
     rng = np.random.default_rng([SEED, number])
     camera, renderer = source._camera, registry().create("renderer", "zbuffer", {})
-    found: list[list[Press]] = [[] for _ in localizers]
+    found: list[list[ScoredPress]] = [[] for _ in localizers]
     off_m: list[list[float]] = [[] for _ in localizers]
     for index in np.sort(rng.choice(len(PLACES), presses, replace=False)):
         photo = Photo(Path(f"{PLACES[index].number}.png"), PLACES[index])
@@ -104,11 +104,11 @@ def press_folder(source: Any, localizers: list[Localizer], number: int, presses:
         for k, localizer in enumerate(localizers):
             try:
                 touch = localizer.find_touch(image)
-                one = Press(photo, "no contact")
+                one = ScoredPress(photo, "no contact")
                 if touch is not None:  # without its photo, it is not polished
                     one = locate_press(localizer, replace(touch, image=None), photo)
             except TactileLocError as error:
-                one = Press(photo, str(error))
+                one = ScoredPress(photo, str(error))
             found[k].append(one)
             if one.shift_m is not None:
                 off_m[k].append(float(np.linalg.norm(one.shift_m - middle[:2])))

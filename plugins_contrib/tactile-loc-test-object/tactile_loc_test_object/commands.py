@@ -27,7 +27,7 @@ from tactile_loc.commands import (
 
 DEFAULT_OUT = Path("tactile-loc-test-object")
 
-Turn = StrEnum("Turn", {"NONE": "0", "RIGHT": "90", "HALF": "180", "LEFT": "270"})
+QuarterTurn = StrEnum("QuarterTurn", {"NONE": "0", "RIGHT": "90", "HALF": "180", "LEFT": "270"})
 
 Made = Annotated[Path, typer.Argument(metavar="OUT", help="Folder of test-object.stl, places.csv and drawing.png.")]
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the photos 1.png to 10.png, and 1b.png, ...")]
@@ -45,7 +45,8 @@ Given = Annotated[
     ),
 ]
 Turned = Annotated[
-    Turn, declare("--turn DEG", "Angle by which the plate appears turned in the photos, from x to y (clockwise).")
+    QuarterTurn,
+    declare("--turn DEG", "Angle by which the plate appears turned in the photos, from x to y (clockwise)."),
 ]
 Out = Annotated[Path, declare("--out FOLDER", "Folder of score.json, row.json and report.html.")]
 
@@ -74,7 +75,7 @@ def make(out: Made) -> dict[str, Any]:
 
 @application.command()
 def score(
-    folder: Folder, *, given: Given, turn: Turned = Turn.NONE, out: Out = DEFAULT_OUT, store: Store = None
+    folder: Folder, *, given: Given, turn: Turned = QuarterTurn.NONE, out: Out = DEFAULT_OUT, store: Store = None
 ) -> dict[str, Any]:
     """Score a sensor's photos of the test object.
 

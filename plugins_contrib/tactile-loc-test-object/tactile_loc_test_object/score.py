@@ -13,7 +13,7 @@ import numpy as np
 from tactile_loc import Localizer
 from tactile_loc.plugin import Progress
 
-from tactile_loc_test_object.scoring import FLAT_M, RIGHT_M, Floats, Photo, Press, read_press
+from tactile_loc_test_object.scoring import FLAT_M, RIGHT_M, Floats, Photo, ScoredPress, read_press
 from tactile_loc_test_object.shape import NAME, PLACES, VERSION
 
 SCHEMA_VERSION = 1
@@ -42,14 +42,14 @@ class Score:
     too few presses were located.
     """
 
-    presses: tuple[Press, ...]
+    presses: tuple[ScoredPress, ...]
 
     @cached_property
-    def located(self) -> tuple[Press, ...]:
+    def located(self) -> tuple[ScoredPress, ...]:
         """The presses whose place is where it should be, within RIGHT_M."""
         return tuple(press for press in self.presses if press.shift_m is not None and not self._is_astray(press))
 
-    def _is_astray(self, press: Press) -> bool:
+    def _is_astray(self, press: ScoredPress) -> bool:
         assert press.shift_m is not None
         return bool(np.linalg.norm(press.shift_m - self.middle_m) > RIGHT_M)
 
@@ -65,17 +65,17 @@ class Score:
         return float(np.median([press.turn_rad for press in self.located])) if self.located else 0.0
 
     @cached_property
-    def by_place(self) -> dict[int, list[Press]]:
+    def by_place(self) -> dict[int, list[ScoredPress]]:
         """All presses of each place."""
         return {place.number: [one for one in self.presses if one.photo.place == place] for place in PLACES}
 
-    def describe_state(self, press: Press) -> str:
+    def describe_state(self, press: ScoredPress) -> str:
         """Return the state of a press in words: its verdict, "astray" or "refused"."""
         if press.shift_m is None:
             return "refused"
         return "astray" if self._is_astray(press) else press.verdict
 
-    def rate(self, press: Press) -> float:
+    def rate(self, press: ScoredPress) -> float:
         """Return the points of a press for the shape, 0 to 100: 0 if it was not located."""
         return 100 * press.surfaces.share if press.surfaces is not None and press in self.located else 0.0
 
@@ -100,7 +100,7 @@ class Score:
         """The score, 0 to 100: the mean of the points for the shape and for the heights. No refusal adds points."""
         return (self.shape_points + self.height_points) / 2
 
-    def _weigh(self, located: bool = False) -> Iterator[tuple[Press, float]]:
+    def _weigh(self, located: bool = False) -> Iterator[tuple[ScoredPress, float]]:
         """Yield each press with its weight, or the located ones only. All places weigh the same."""
         for some in self.by_place.values():
             for press in some:

@@ -18,7 +18,7 @@ from tactile_loc import IMAGE_SUFFIXES, GaussianPrior, Localizer, Tolerance
 from tactile_loc.plugin import Scene, SensorGeometry, TactileLocError, Touch
 from tactile_loc.plugin.helpers import invert, make_transform, rotation_about
 
-from tactile_loc_test_object.shape import PLACES, Place
+from tactile_loc_test_object.shape import PLACES, NumberedPlace
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -46,7 +46,7 @@ class Photo:
     """A photo of a numbered place. `repetition` is the letter after the number, such as b."""
 
     path: Path
-    place: Place
+    place: NumberedPlace
     repetition: str = ""
 
 
@@ -93,7 +93,7 @@ def subtract_plane(surface: Floats, inside: Bools) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Press:
+class ScoredPress:
     """What became of a photo. `refused` is the reason if it could not be located, or "".
 
     `shift_m` (2,) and `turn_rad` are the located minus the nominal pose of the place's centre, in the photo: x to the
@@ -128,7 +128,7 @@ def list_photos(folder: Path) -> list[Photo]:
     return sorted(found, key=lambda one: (one.place.number, one.repetition))
 
 
-def find_nominal_pose(place: Place, geometry: SensorGeometry, turn_rad: float = 0.0) -> Floats:
+def find_nominal_pose(place: NumberedPlace, geometry: SensorGeometry, turn_rad: float = 0.0) -> Floats:
     """Return the pose (4, 4), metres, of the plate whose place just touches the middle of the sensor's gel.
 
     The photo's x axis is the plate's, if `turn_rad` is 0. Otherwise the plate appears turned by this angle, from the
@@ -139,17 +139,17 @@ def find_nominal_pose(place: Place, geometry: SensorGeometry, turn_rad: float = 
     return make_transform(R, np.array([(x0 + x1) / 2, (y0 + y1) / 2, geometry.surface_m]) - R @ place.centre_m)
 
 
-def read_press(localizer: Localizer, photo: Photo, turn_rad: float = 0.0) -> Press:
+def read_press(localizer: Localizer, photo: Photo, turn_rad: float = 0.0) -> ScoredPress:
     """Read and locate a photo of a localizer's sensor. A photo that cannot be used is a refused press."""
     given = localizer.config.touch
     try:
         touch = localizer.read_touch(photo.path, given.unit, given.press_depth_m, given.kind)
         return locate_press(localizer, touch, photo, turn_rad)
     except TactileLocError as error:
-        return Press(photo, str(error))
+        return ScoredPress(photo, str(error))
 
 
-def locate_press(localizer: Localizer, touch: Touch, photo: Photo, turn_rad: float = 0.0) -> Press:
+def locate_press(localizer: Localizer, touch: Touch, photo: Photo, turn_rad: float = 0.0) -> ScoredPress:
     """Locate a touch with the prior of its photo's place, and compare the surfaces. Raises TactileLocError.
 
     The localizer's object is the test object.
@@ -168,7 +168,7 @@ def locate_press(localizer: Localizer, touch: Touch, photo: Photo, turn_rad: flo
     at = nominal[:3, :3] @ centre_m + nominal[:3, 3]
     shift_m = (moved[:3, :3] @ at + moved[:3, 3] - at)[:2]
     turned = float(np.arctan2(moved[1, 0] - moved[0, 1], moved[0, 0] + moved[1, 1]))
-    return Press(
+    return ScoredPress(
         photo, "", shift_m, turned, str(found.verdict), compare_surfaces(own.scene.match_touch(touch), touch, T)
     )
 

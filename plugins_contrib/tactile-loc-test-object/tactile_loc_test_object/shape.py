@@ -34,7 +34,7 @@ SEGMENTS_OF_DIGITS = ("abcdef", "bc", "abdeg", "abcdg", "bcfg", "acdfg", "acdefg
 
 
 @dataclass(frozen=True)
-class Place:
+class NumberedPlace:
     """A numbered place, with the x and y of its centre, and the least `feature` that it holds, mm."""
 
     number: int
@@ -62,7 +62,7 @@ SHAPES = (  # names and least features: radii of curvature, or widths
     ("flat face with a bump", 2.0),
 )
 PLACES = tuple(
-    Place(number, name, COLUMNS[(number - 1) % len(COLUMNS)], ROWS[(number - 1) // len(COLUMNS)], feature)
+    NumberedPlace(number, name, COLUMNS[(number - 1) % len(COLUMNS)], ROWS[(number - 1) // len(COLUMNS)], feature)
     for number, (name, feature) in enumerate(SHAPES, 1)
 )
 
@@ -129,10 +129,14 @@ def _write_number(number: int) -> Manifold:
     """Return a number of seven-segment digits, with its lower left corner at the origin."""
     (w, h), s = DIGIT, STROKE
     bars = {
-        "a": (0, h - s, w, s), "b": (w - s, h / 2 - s / 2, s, h / 2 + s / 2), "c": (w - s, 0, s, h / 2 + s / 2),
-        "d": (0, 0, w, s), "e": (0, 0, s, h / 2 + s / 2), "f": (0, h / 2 - s / 2, s, h / 2 + s / 2),
+        "a": (0, h - s, w, s),
+        "b": (w - s, h / 2 - s / 2, s, h / 2 + s / 2),
+        "c": (w - s, 0, s, h / 2 + s / 2),
+        "d": (0, 0, w, s),
+        "e": (0, 0, s, h / 2 + s / 2),
+        "f": (0, h / 2 - s / 2, s, h / 2 + s / 2),
         "g": (0, h / 2 - s / 2, w, s),
-    }  # fmt: skip
+    }
     boxes = [
         _box(k * (w + 0.8) + bars[name][0], *bars[name][1:], -0.5, NUMBER)
         for k, digit in enumerate(str(number))
@@ -169,9 +173,17 @@ def _extrude(corners: list[tuple[float, float]], top: float = TOP) -> Manifold:
 def _shape_place(number: int) -> Manifold:
     """Return the shape of a place, with its centre at the origin."""
     return (
-        _make_dome, _make_cone, _make_roof, _make_step, _make_cylinder, _make_pyramid, _make_bumps, _make_comb,
-        _make_triangle, _make_face,
-    )[number - 1]()  # fmt: skip
+        _make_dome,
+        _make_cone,
+        _make_roof,
+        _make_step,
+        _make_cylinder,
+        _make_pyramid,
+        _make_bumps,
+        _make_comb,
+        _make_triangle,
+        _make_face,
+    )[number - 1]()
 
 
 def _make_dome() -> Manifold:

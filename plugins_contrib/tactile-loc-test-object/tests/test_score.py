@@ -12,7 +12,7 @@ from tactile_loc.plugin.helpers import make_translation
 from tactile_loc_test_object.score import Score
 from tactile_loc_test_object.scoring import (
     Photo,
-    Press,
+    ScoredPress,
     Surfaces,
     TestObjectError,
     find_nominal_pose,
@@ -36,7 +36,7 @@ def localizer(tmp_path_factory) -> Localizer:
     )
 
 
-def press(localizer: Localizer, place, shift_m=(0.0, 0.0), scale: float = 1.0) -> Press:
+def press(localizer: Localizer, place, shift_m=(0.0, 0.0), scale: float = 1.0) -> ScoredPress:
     """Locate a press with an error of the hand, whose heights are read too large by the factor `scale`."""
     geometry = localizer.sensor.geometry
     T = make_translation([*shift_m, 0]) @ find_nominal_pose(place, geometry)
@@ -46,7 +46,7 @@ def press(localizer: Localizer, place, shift_m=(0.0, 0.0), scale: float = 1.0) -
 
 
 @pytest.fixture(scope="module")
-def right(localizer) -> list[Press]:
+def right(localizer) -> list[ScoredPress]:
     return [press(localizer, place, MIDDLE_M) for place in FEW]
 
 
@@ -76,10 +76,10 @@ def test_refused_and_missing_photos_never_add_points(right):
     for number in range(len(right)):
         without = right[:number] + right[number + 1 :]
         assert Score(tuple(without)).points < all_of_them
-        refused = Press(right[number].photo, "no contact")
+        refused = ScoredPress(right[number].photo, "no contact")
         assert Score((*without, refused)).points < all_of_them
-    assert Score((Press(right[0].photo, "no contact"),)).points == 0
-    assert Score((Press(right[0].photo, "no contact"),)).calibration_m is None
+    assert Score((ScoredPress(right[0].photo, "no contact"),)).points == 0
+    assert Score((ScoredPress(right[0].photo, "no contact"),)).calibration_m is None
 
 
 @pytest.mark.parametrize("scales", [(1.9, 1.0, 0.9), (0.2, 1.1, 1.1), (5.0, 1.2, 1.3), (-1.0, 0.8, 0.9)])
@@ -88,7 +88,7 @@ def test_no_refusal_adds_points_whatever_the_heights(right, scales):
     presses = [replace(one, surfaces=replace(one.surfaces, scale=scale)) for one, scale in pairs]
     points = Score(tuple(presses)).height_points
     for number, one in enumerate(presses):
-        refused = [*presses[:number], Press(one.photo, "no contact"), *presses[number + 1 :]]
+        refused = [*presses[:number], ScoredPress(one.photo, "no contact"), *presses[number + 1 :]]
         assert Score(tuple(refused)).height_points <= points + 1e-9
 
 

@@ -105,7 +105,7 @@ def make_touchability_page(studies: Sequence[Study], found: Findings, answer: st
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceMap:
+class ColouredMap:
     """What colours the surface: a value (N,) of each press, up to `high`, and `marks` on the surface."""
 
     name: str
@@ -135,7 +135,7 @@ def draw_maps(found: Findings) -> tuple[dict[int, str], dict[str, Any]]:
     return names, {"maps": packed, **frame_surface(mesh, mesh.centroid_m + VIEW)}
 
 
-def list_maps(found: Findings) -> list[SurfaceMap]:
+def list_maps(found: Findings) -> list[ColouredMap]:
     """Return the maps: the pose error, the shares that end certain and right, and each pair of poses."""
     study = found.study
     best = found.best[-1].presses if found.best else ()
@@ -143,14 +143,14 @@ def list_maps(found: Findings) -> list[SurfaceMap]:
     errors_mm, certain = 1e3 * study.errors_m, np.where(study.certain, 100.0, 0.0)
     right = np.where(study.errors_m <= RIGHT_M, 100.0, 0.0)
     maps = [
-        SurfaceMap("expected pose error", "mm", errors_mm, 1e3 * study.diameter_m, numbered, good_last=False),
-        SurfaceMap("certain after one touch", "%", certain, 100.0, numbered),
-        SurfaceMap("within 1 mm after one touch", "%", right, 100.0, numbered),
+        ColouredMap("expected pose error", "mm", errors_mm, 1e3 * study.diameter_m, numbered, good_last=False),
+        ColouredMap("certain after one touch", "%", certain, 100.0, numbered),
+        ColouredMap("within 1 mm after one touch", "%", right, 100.0, numbered),
     ]
     for k, pair in enumerate(found.pairs, 1):
         some = choose_marks(study.presses.places_m, pair.told, MARKS)
         told, marks = np.where(pair.told, 100.0, 0.0), mark(study, some, ["here"] * len(some))
-        maps.append(SurfaceMap(f"pair {k}: {pair.words}", "% told apart", told, 100.0, marks))
+        maps.append(ColouredMap(f"pair {k}: {pair.words}", "% told apart", told, 100.0, marks))
     return maps
 
 

@@ -72,7 +72,7 @@ def find_pairs(study: Study, most: int = MOST_PAIRS) -> list[ConfusedPair]:
     owner, motions = np.array([n for n, _ in listed]), choose_equivalents(obj, np.stack([T for _, T in listed]))
     label = merge_motions(obj, motions, MERGED * study.diameter_m)
     counts = {k: len(np.unique(owner[label == k])) for k in np.unique(label).tolist()}
-    families: list[tuple[Turn | None, list[int]]] = []
+    families: list[tuple[AxisTurn | None, list[int]]] = []
     for k in sorted(counts, key=lambda k: -counts[k]):
         turn = find_turn(motions[k], obj, study.diameter_m)
         alike = [some for other, some in families if turn and other and other.shares_axis(turn)]
@@ -151,7 +151,7 @@ def _tell_two_apart(study: Study, motion: Poses, obj: ObjectModel) -> Bools:
 
 
 @dataclass(frozen=True, eq=False)
-class Turn:
+class AxisTurn:
     """A turn by an angle about a line: the `axis` (3,), unitless, through a point (3,), metres, near the centre.
 
     Lines that are within `near_m` of each other, and point alike, are one.
@@ -162,7 +162,7 @@ class Turn:
     point_m: Floats
     near_m: float
 
-    def shares_axis(self, other: Turn) -> bool:
+    def shares_axis(self, other: AxisTurn) -> bool:
         """Return whether another turn is about the same line."""
         return bool(abs(self.axis @ other.axis) >= ALONG and np.linalg.norm(self.point_m - other.point_m) < self.near_m)
 
@@ -174,7 +174,7 @@ class Turn:
         return f"an axis along {name} through {write_place(self.point_m)} mm"
 
 
-def find_turn(motion: Poses, obj: ObjectModel, diameter_m: float) -> Turn | None:
+def find_turn(motion: Poses, obj: ObjectModel, diameter_m: float) -> AxisTurn | None:
     """Return the turn that a motion (4, 4), metres, is; None if it also moves the object along the axis, or far away.
 
     The turn's point is the point of the line that is nearest to the object's centre c. It follows from the shift s of
@@ -188,7 +188,7 @@ def find_turn(motion: Poses, obj: ObjectModel, diameter_m: float) -> Turn | None
     beside = 0.5 * (across + np.cross(axis, across) / np.tan(angle / 2))
     if abs(shift @ axis) > SHIFTED * diameter_m or np.linalg.norm(beside) > FAR * diameter_m:
         return None
-    return Turn(angle, axis, obj.mesh.centroid_m + beside, NEAR_LINES * diameter_m)
+    return AxisTurn(angle, axis, obj.mesh.centroid_m + beside, NEAR_LINES * diameter_m)
 
 
 def describe_motions(motions: Poses, obj: ObjectModel, diameter_m: float) -> tuple[str, str]:
