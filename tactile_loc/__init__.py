@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from tactile_loc.evaluation.summary import ExampleSummary as ExampleSummary
     from tactile_loc.evaluation.sweep.plan import Plan as Plan
     from tactile_loc.evaluation.sweep.sweep import run_sweep as run_sweep
+    from tactile_loc.evaluation.sweep.tables import write_sweep as write_sweep
     from tactile_loc.evaluation.table import ExampleTable as ExampleTable
     from tactile_loc.evaluation.text_tables import format_markdown as format_markdown
     from tactile_loc.evaluation.text_tables import write_parquet as write_parquet
@@ -100,7 +101,6 @@ if TYPE_CHECKING:
     from tactile_loc.reports.report import write_page as write_page
     from tactile_loc.reports.report import write_report as write_report
     from tactile_loc.reports.scene import frame_surface as frame_surface
-    from tactile_loc.reports.sweep_figures import write_sweep as write_sweep
     from tactile_loc.sensors.calibration.labelling import LabelledFolder as LabelledFolder
     from tactile_loc.sensors.calibration.labelling import label_presses as label_presses
     from tactile_loc.sensors.calibration.layouts import convert_presses as convert_presses

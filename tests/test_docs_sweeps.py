@@ -99,7 +99,7 @@ def test_the_python_example_runs(monkeypatch, tmp_path, capsys):
     assert [name for name, _ in rows] == ["none", "icp"]
     assert all(float(value) > 0 for _, value in rows)
     named = set(
-        re.findall(r"`([\w.-]+)`", PAGE[PAGE.index("| file |") : PAGE.index("`sweep.md`, `differences.csv` and")])
+        re.findall(r"`([\w.-]+)`", PAGE[PAGE.index("| file |") : PAGE.index("`sweep.md` and `differences.csv` show")])
     )
     assert named <= {path.name for path in (tmp_path / "sweep").iterdir()}
 

@@ -251,15 +251,14 @@ def _draw_scene(panel: SubFigure, localization: Localization) -> None:
     )
 
 
-def group_nearby(places: Floats, apart: float, order: float = 2) -> list[list[int]]:
+def group_nearby(places: Floats, apart: float) -> list[list[int]]:
     """Group places (N, D), and return the indices of the places in each group.
 
-    Each place is nearer than `apart` to the first place of its group. `order` is the order of the norm that measures
-    distances.
+    Each place is nearer than `apart` to the first place of its group.
     """
     groups: list[list[int]] = []
     for i, place in enumerate(places):
-        near = next((g for g in groups if np.linalg.norm(places[g[0]] - place, order) < apart), None)
+        near = next((g for g in groups if np.linalg.norm(places[g[0]] - place) < apart), None)
         groups.append([i]) if near is None else near.append(i)
     return groups
 

@@ -27,7 +27,7 @@ option.grid.spacing_mm = 8
 """
 COLUMNS = ["object", "sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser", "noise", "seed", "state"]
 TABLES = {"sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "differences.csv", "touches.csv"}
-FILES = TABLES | {"error-time.png", "effects.png", "rows", "workers.log"}
+FILES = TABLES | {"rows", "workers.log"}
 
 
 @pytest.fixture
@@ -40,7 +40,6 @@ def plan(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("drawn_pictures")
 def test_a_plan_is_evaluated_once_and_written(cli, plan, tmp_path):
     done = succeed(cli("sweep", "sweep.toml", "--workers", 1, "--json"))
     report = json.loads(done.stdout)

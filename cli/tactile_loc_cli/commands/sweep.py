@@ -27,10 +27,7 @@ PlanFile = Annotated[
     Path | None, typer.Argument(metavar="PLAN.toml", help="The plan; options on the command line override it.")
 ]
 Line = Annotated[
-    str,
-    declare(
-        "--line LINE", "Error to show in sweep.md, pictures and comparisons: best-1, reg-1, ... (docs/evaluation.md)."
-    ),
+    str, declare("--line LINE", "Error to show in sweep.md and comparisons: best-1, reg-1, ... (docs/evaluation.md).")
 ]
 DryRun = Annotated[
     bool, declare("--dry-run", "List the combinations and count the stages to build, without running them.")
@@ -38,7 +35,7 @@ DryRun = Annotated[
 Compare = Annotated[
     Path | None, declare("--compare FOLDER", "Compare --out with this older sweep; without a plan, only compare.")
 ]
-Out = Annotated[Path, declare("--out FOLDER", "Folder of the rows, tables and pictures.")]
+Out = Annotated[Path, declare("--out FOLDER", "Folder of the rows and tables.")]
 
 
 @dataclass(frozen=True)
@@ -185,7 +182,7 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
 
 def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
     """Write the results of a sweep, show them, and return a summary."""
-    from tactile_loc.reports.sweep_figures import write_sweep
+    from tactile_loc.evaluation.sweep.tables import write_sweep
 
     files = write_sweep(out, found, line)
     _say_medians(found, line)

@@ -47,8 +47,8 @@ def require_line(line: str) -> str:
     return line
 
 
-def write_sweep_tables(out: Path, sweep: Sweep, line: str) -> list[Path]:
-    """Write the tables of a sweep into the folder `out` and return their paths. Raises OutputError.
+def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
+    """Write all results of a sweep into the folder `out` and return their paths. Raises OutputError.
 
     The summary shows the errors of `line`, one of the protocol's LINES.
     """

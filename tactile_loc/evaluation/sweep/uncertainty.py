@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -14,7 +13,6 @@ from tactile_loc.core.geometry.rigid import Floats, Ints
 
 RESAMPLED, SEED = 1000, 0
 RANGE = (2.5, 97.5)  # percentiles of an interval
-LEAST = 1e-6  # smaller medians count as this in a geometric mean
 LEAST_TOUCHES = 6  # the probability that fewer fair differences all have one sign is above 5 %
 CHANCE, FEW, EQUAL = "may be chance", "too few touches", "equal"
 
@@ -54,14 +52,6 @@ def estimate_median(values: Floats) -> Estimate:
     """Return the mean over series, such as seeds, of the medians over touches of values (M, T)."""
     value = float(np.median(values, axis=1).mean())
     return Estimate(value, *find_interval(resample_medians(values).mean(axis=0), values.size))
-
-
-def estimate_geometric_mean(objects: Sequence[Floats]) -> Estimate:
-    """Return the geometric mean over objects of the mean over series of the medians of values (M, T) of each object."""
-    samples = resample_medians(np.concatenate(objects)).reshape(len(objects), -1, RESAMPLED)
-    medians = np.median(objects, axis=2)[..., None]
-    whole, drawn = (np.exp(np.log(np.maximum(some.mean(axis=1), LEAST)).mean(axis=0)) for some in (medians, samples))
-    return Estimate(float(whole[0]), *find_interval(drawn, objects[0].size))
 
 
 @dataclass(frozen=True, eq=False)

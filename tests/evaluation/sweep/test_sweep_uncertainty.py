@@ -12,7 +12,6 @@ from tactile_loc.evaluation.sweep.uncertainty import (
     LEAST_TOUCHES,
     ComparedMedian,
     draw_median_ranks,
-    estimate_geometric_mean,
     estimate_median,
     resample_medians,
 )
@@ -83,8 +82,3 @@ def test_series_are_sampled_independently():
     single, many = (estimate_median(values[:count]) for count in (1, 16))
     assert single.value == pytest.approx(many.value)
     assert (many.high - many.low) / (single.high - single.low) == pytest.approx(1 / 4, abs=0.08)
-
-
-def test_a_geometric_mean_over_objects_is_that_of_their_medians():
-    objects = [np.full((2, 9), 2.0), np.full((2, 9), 8.0)]
-    assert estimate_geometric_mean(objects) == pytest.approx((4, 4, 4))
