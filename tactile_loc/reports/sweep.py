@@ -51,12 +51,7 @@ def make_sweep_page(path: Path) -> Page:
     by = find_varying(rows) or ["object"]
     choices = {"times": times, "factors": by, "first": "refiner" if "refiner" in by else by[0]}
     failures = {"factors": factors, "rows": [[*(row[f] or "" for f in factors), row["error"]] for row in failed]}
-    summary = {
-        "explained": str(document.get("explained") or ""),
-        "numbers": list(_list_numbers(rows, len(failed), lines)),
-        "count": len(good),
-        "lines": lines,
-    }
+    summary = {"numbers": list(_list_numbers(rows, len(failed), lines)), "count": len(good), "lines": lines}
     differences = _tabulate_differences(document, factors)
     sections = [
         Section("summary", "", summary),

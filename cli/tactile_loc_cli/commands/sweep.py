@@ -206,9 +206,8 @@ def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
 
 def _say_medians(found: Sweep, line: str) -> None:
     """Show the median errors, best first."""
-    from tactile_loc.evaluation.sweep.tables import explain, tabulate_medians
+    from tactile_loc.evaluation.sweep.tables import tabulate_medians
 
-    say(explain(found, line))
     medians = found.compute_medians(line)
     for noise in found.plan.noises:
         header, *rows = tabulate_medians(medians, noise, lambda error, _: f"{error.value:.3g}")

@@ -26,7 +26,6 @@ from tactile_loc.evaluation.sweep.combination import (
     name_time,
     order_for_running,
 )
-from tactile_loc.evaluation.sweep.factors import Decomposition, decompose
 from tactile_loc.evaluation.sweep.plan import Plan, find_varied_options, find_varying_slots, name_choices
 from tactile_loc.evaluation.sweep.uncertainty import ComparedMedian
 from tactile_loc.evaluation.text_tables import Row, require_parquet
@@ -123,20 +122,6 @@ class Sweep:
         """Return a value for each touch (T,) of a combination; NaN if it failed."""
         measured = self.outcomes[one.key].measured or {}
         return np.array(measured.get(TOUCHES, {}).get(column, [math.nan] * one.count), dtype=np.float64)
-
-    def decompose(self, line: str) -> Decomposition | None:
-        """Return how much each slot that varies explains; None if a combination failed for each object and noise."""
-        places = [1 + SLOTS.index(slot) for slot in find_varying_slots(self.plan)]
-        shape = [len(self.plan.slots[slot]) for slot in find_varying_slots(self.plan)]
-        blocks: dict[Any, Floats] = {}
-        for one in self.combinations:
-            block, seeds = (one.object, one.config.touch.noise), len(self.plan.seeds)
-            errors_mm = blocks.setdefault(block, np.full((*shape, seeds, one.count), math.nan))
-            errors_mm[(*(one.place[place] for place in places), one.place[-1])] = self.list_touches(one, f"{line}_mm")
-        whole = [some.reshape(*shape, -1) for some in blocks.values() if np.isfinite(some).all()]
-        differing = (("object", len(self.plan.objects)), ("noise", len(self.plan.noises)))
-        name = " and ".join(name for name, count in differing if count > 1)
-        return decompose(whole, find_varying_slots(self.plan), name) if whole else None
 
     def find_changed(self) -> dict[str, tuple[str, ...]]:
         """Return the slots that by their nature change more than the method: each with "grid", "touches", or both.

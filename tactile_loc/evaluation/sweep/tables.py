@@ -15,7 +15,6 @@ from tactile_loc.core.runtime.errors import ConfigError, advise_choice
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION
 from tactile_loc.evaluation.sweep.combination import IDS, name_time, round_numbers
-from tactile_loc.evaluation.sweep.factors import write_sentence
 from tactile_loc.evaluation.sweep.plan import find_varying_slots
 from tactile_loc.evaluation.sweep.sweep import FAILED, IDENTITY, ChoiceMedian, Sweep, list_varied_columns
 from tactile_loc.evaluation.sweep.uncertainty import ComparedMedian, Estimate
@@ -106,7 +105,6 @@ def list_differences(sweep: Sweep, line: str) -> list[Row]:
 
 def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
     """Return the plan, the versions, the number of built stages, and each row with its settings, as JSON values."""
-    found = sweep.decompose(line)
     configurations = {one.key: one.describe() for one in sweep.combinations}
     return build_document(
         SCHEMA_VERSION,
@@ -116,8 +114,6 @@ def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
         combinations=len(sweep.combinations),
         failed=sweep.failed,
         built=sweep.built,
-        explained=explain(sweep, line),
-        shares={term: share._asdict() for term, share in found.shares.items()} if found else {},
         differences=list_differences(sweep, line),
         rows=[{**row, "configuration": configurations[row["key"]]} for row in sweep.rows],
     )
@@ -149,23 +145,17 @@ def _require_rows(rows: list[dict[str, Any]]) -> None:
             raise ValueError("an error is not a number")
 
 
-def explain(sweep: Sweep, line: str) -> str:
-    """Return a sentence that says how much of the differences each slot explains; empty if no slot varies."""
-    return write_sentence(sweep.decompose(line), find_varying_slots(sweep.plan))
-
-
 def format_summary(sweep: Sweep, line: str) -> str:
-    """Return, as Markdown, a sentence, tables of the median ADD of `line`, mm, for each noise, and the failures.
+    """Return, as Markdown, tables of the median ADD of `line`, mm, for each noise, and the failures.
 
     The first table of a noise has the medians, the second the differences from the base.
     """
     plan = sweep.plan
     seeds = f", mean over seeds {', '.join(map(str, plan.seeds))}" if len(plan.seeds) > 1 else ""
-    parts: list[str | Table] = [explain(sweep, line)] if find_varying_slots(plan) else []
-    parts.append(
+    parts: list[str | Table] = [
         f"Median ADD (symmetric poses equal) of `{line}` over {plan.count} simulated touches, "
         f"mm{seeds}, with the 95 % interval in brackets. The best value of each column is bold."
-    )
+    ]
     same = [f"{slot} {choices[0].name}" for slot, choices in plan.slots.items() if len(choices) == 1]
     if same:
         parts.append(f"Common to all rows: {', '.join(same)}.")

@@ -12,7 +12,7 @@ from message_helpers import missing, naming
 from tactile_loc.core.runtime.errors import ConfigError, MissingLibraryError
 from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Sweep, list_columns
-from tactile_loc.evaluation.sweep.tables import explain, format_summary, list_differences, read_sweep, write_touches
+from tactile_loc.evaluation.sweep.tables import format_summary, list_differences, read_sweep, write_touches
 from tactile_loc.evaluation.text_tables import require_parquet, write_parquet
 from tactile_loc.slots.registry import SLOTS
 
@@ -132,16 +132,6 @@ def measure_touches(one) -> dict[str, Any] | str:
 def planted(made_up) -> Sweep:
     values = {"object": ["pin", "head"], "refiner": ["none", "icp"], "option": ["encoder.cells=12,20"]}
     return made_up({**values, "seed": [0, 1], "count": TOUCHES}, measure_touches)
-
-
-def test_a_sentence_above_the_tables_says_which_slot_explains_the_differences(planted):
-    lines = format_summary(planted, "chosen").splitlines()
-    assert lines[2] == explain(planted, "chosen")
-    shares = planted.decompose("chosen").shares
-    assert shares["refiner"].value == pytest.approx(1)
-    assert shares["encoder"].value == pytest.approx(0)
-    assert not missing(lines[2], "refiner explains 100 % of the variance", "encoder nothing that 24 touches show")
-    assert "interaction" not in lines[2]
 
 
 def test_differences_from_the_base_are_paired_and_judged(planted):
