@@ -12,9 +12,7 @@ from fuzzing import corpora
 from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.runtime.errors import TactileLocError
-from tactile_loc.evaluation.sweep.comparison import compare, format_texts
 from tactile_loc.evaluation.sweep.plan import Plan, name_choices
-from tactile_loc.evaluation.sweep.tables import read_sweep
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.config import RunConfig
 from tactile_loc.io.listed_poses import read_listed_poses
@@ -175,11 +173,6 @@ def _next_touch(folder: Path) -> None:
     write_next_touch(choose_next_touch(PoseModes.of(found), approaches))
 
 
-def _compared(folder: Path) -> None:
-    found = read_sweep(folder)
-    format_texts(compare(found, found, "chosen"))
-
-
 def _recording(folder: Path) -> None:
     """Read every image and transform of a recording, up to the damage."""
     recording = Recording(next(iter(sorted(folder.glob("drive*")))))
@@ -254,7 +247,6 @@ _ALL = (
     Reader("evaluation", partial(write_evaluation, touches=5), _reported, REPORT),
     Reader("contacts", write_contacts, _reported, REPORT),
     Reader("sweep", corpora.sweep, _reported, REPORT),
-    Reader("sweeps-compared", corpora.sweep, _compared, "sweep --compare FOLDER --out FOLDER"),
     _recorded("mcap", corpora.mcap, "drive.mcap"),
     _recorded("mcap-compressed", corpora.compressed, "drive.mcap"),
     _recorded("bag-ros1", partial(corpora.bag, "ros1", "drive.bag"), "drive.bag"),

@@ -26,15 +26,8 @@ MOST_SHOWN = 40  # lines of a table
 PlanFile = Annotated[
     Path | None, typer.Argument(metavar="PLAN.toml", help="The plan; options on the command line override it.")
 ]
-Line = Annotated[
-    str, declare("--line LINE", "Error to show in sweep.md and comparisons: best-1, reg-1, ... (docs/evaluation.md).")
-]
-DryRun = Annotated[
-    bool, declare("--dry-run", "List the combinations and count the stages to build, without running them.")
-]
-Compare = Annotated[
-    Path | None, declare("--compare FOLDER", "Compare --out with this older sweep; without a plan, only compare.")
-]
+Line = Annotated[str, declare("--line LINE", "Error to show in sweep.md: best-1, reg-1, ... (docs/evaluation.md).")]
+DryRun = Annotated[bool, declare("--dry-run", "List the combinations without running them.")]
 Out = Annotated[Path, declare("--out FOLDER", "Folder of the rows and tables.")]
 
 
@@ -76,7 +69,6 @@ def sweep(
     line: Line = "chosen",
     workers: WorkerOptions,
     dry_run: DryRun = False,
-    compare: Compare = None,
     out: Out = DEFAULT_OUT,
     store: options.Store = None,
 ) -> dict[str, Any]:
@@ -87,23 +79,19 @@ def sweep(
     combination fails, its row holds the error, and the exit code is 1. After an interruption, the same command resumes.
     """
     from tactile_loc.evaluation.sweep.sweep import run_sweep
-    from tactile_loc.evaluation.sweep.tables import read_sweep, require_line
+    from tactile_loc.evaluation.sweep.tables import require_line
     from tactile_loc.store.store import StageStore
 
     values = {key: value for key, value in vars(choices).items() if value is not None}
     require_line(line)
     if plan is None and not values:
-        return _compare(compare, out, line)
+        raise ConfigError("no plan is given; give a plan file, or options such as --refiner none,icp")
     wanted = _make_plan(plan, values, given.units, given.symmetry)
     place = StageStore(store).root
     if dry_run:
-        return _list_combinations(wanted, out, place)
-    if compare is not None:
-        read_sweep(compare)  # raises an error now, not after the sweep
+        return _list_combinations(wanted, out)
     found = run_sweep(wanted, out, place, workers.choose(out), make_progress())
     report = _report(found, out, line)
-    if compare is not None:
-        report["comparison"] = _compare(compare, out, line)
     if found.failed:
         complain(
             "failed", f"{found.failed} of {len(found.combinations)} combinations; their errors are in {out}/sweep.md"
@@ -149,16 +137,14 @@ def _check_given(given: dict[str, Any], values: dict[str, Any]) -> None:
     Plan.from_values({**own, "option": {slot: merged[slot] for slot in slots if slot in merged}}, COMMAND_LINE)
 
 
-def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
-    """List the combinations and the missing stages, and return both."""
+def _list_combinations(plan: Plan, out: Path) -> dict[str, Any]:
+    """List the combinations and which of them are done, and return both."""
     from tactile_loc.evaluation.jobs import FinishedJobs
-    from tactile_loc.evaluation.sweep.combination import combine, find_missing_stages
+    from tactile_loc.evaluation.sweep.combination import combine
     from tactile_loc.evaluation.sweep.plan import name_choices
 
-    combinations, objects = combine(plan)
+    combinations, _ = combine(plan)
     done = FinishedJobs(out).find_successful(one.key for one in combinations)
-    missing = [one for one in combinations if one.key not in done]
-    stages = find_missing_stages(missing, objects, store)
     labels = name_choices(plan)
     rows = [
         [
@@ -173,11 +159,10 @@ def _list_combinations(plan: Plan, out: Path, store: Path) -> dict[str, Any]:
     header = ["object", *SLOTS, "noise", "seed", "state"]
     say_table([header, *rows], left=len(header))
     say()
-    say(f"{format_count(len(combinations), 'combination')} with {plan.count} touches each, {len(missing)} to do")
-    say(f"stages to build: {', '.join(f'{stage} {count}' for stage, count in stages.items())}")
-    say("an encoder that depends on the press depth needs a bank for each depth; one bank is counted")
+    missing = len(combinations) - len(done)
+    say(f"{format_count(len(combinations), 'combination')} with {plan.count} touches each, {missing} to do")
     keys = [dict(zip(header, row, strict=True)) for row in rows]
-    return {"combinations": keys, "count": plan.count, "missing": len(missing), "stages_to_build": stages}
+    return {"combinations": keys, "count": plan.count, "missing": missing}
 
 
 def _report(found: Sweep, out: Path, line: str) -> dict[str, Any]:
@@ -215,29 +200,3 @@ def _say_medians(found: Sweep, line: str) -> None:
         say_table([header, *rows[:MOST_SHOWN]], left=1)
         if len(rows) > MOST_SHOWN:
             say(f"{len(rows) - MOST_SHOWN} more rows are in sweep.md")
-
-
-def _compare(old: Path | None, new: Path, line: str) -> dict[str, Any]:
-    """Compare two finished sweeps, and show and return the changes. Raises ConfigError if `old` is None."""
-    from tactile_loc.evaluation.sweep.comparison import compare, format_texts, summarise, write_comparison
-    from tactile_loc.evaluation.sweep.tables import read_sweep
-
-    if old is None:
-        raise ConfigError("no plan is given; give a plan file, or options such as --refiner none,icp")
-    comparison = compare(read_sweep(old), read_sweep(new), line)
-    rows = format_texts(comparison)
-    files = write_comparison(new, comparison)
-    changed = [list(row.values()) for row in rows if row["change"]]
-    if changed:
-        say_table([list(rows[0]), *changed[:MOST_SHOWN]], left=len(rows[0]) - 4)
-    say(summarise(comparison))
-    for name, (before, after) in comparison.versions.items():
-        say(f"{name}: {before} -> {after}")
-    marks = {mark: comparison.count(mark) for mark in sorted({row["change"] for row in rows} - {""})}
-    return {
-        "combinations": len(rows),
-        "line": line,
-        "changes": marks,
-        "versions": comparison.versions,
-        "written": say_written(files),
-    }

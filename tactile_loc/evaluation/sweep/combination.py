@@ -1,4 +1,4 @@
-"""The combinations of a plan: their order, their keys, the stages that they need, and the jobs that evaluate them."""
+"""The combinations of a plan: their order, their keys, and the jobs that evaluate them."""
 
 import itertools
 import time
@@ -16,7 +16,7 @@ from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.evaluation import protocol
 from tactile_loc.evaluation.metrics import LEVELS
-from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, evaluate, make_evaluation_key
+from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.summary import measure_coverage, summarise_lines
 from tactile_loc.evaluation.sweep.plan import Plan
@@ -25,10 +25,9 @@ from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.config import EXACT, ObjectConfig, RunConfig, SlotConfig, TouchConfig
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.locate.localizer import Localizer
-from tactile_loc.locate.sources.listed_grid import make_bank_key, make_encoder_key, make_grid_key, make_shapes_key
 from tactile_loc.slots.component import Component
 from tactile_loc.slots.registry import SLOTS, registry
-from tactile_loc.store.keys import StageKey, hash_arrays, hash_shortly, write_canonical_json
+from tactile_loc.store.keys import hash_arrays, hash_shortly, write_canonical_json
 from tactile_loc.store.store import StageStore
 
 ROW_VERSION = 3  # increase it if the same combination gets other results
@@ -46,7 +45,6 @@ TIMES = (
 TOUCHES = "touches"  # the entry of a row's file with a value of each touch
 IDS = ("grid_id", "touches_id")
 HASHED_DECIMALS = 6  # of poses, metres
-STAGES = ("grid", "shapes", "encoder", "bank", "temperature", "evaluation")
 
 
 @dataclass(frozen=True)
@@ -143,21 +141,6 @@ def describe_components(config: RunConfig, known: dict[str, tuple[Component, Any
     return described
 
 
-def find_missing_stages(
-    combinations: Iterable[Combination], objects: Mapping[str, ObjectModel], store: Path
-) -> dict[str, int]:
-    """Return, for each of STAGES, the number of artifacts that these combinations need and the store lacks.
-
-    Nothing is built. Stages that depend on a missing grid, shapes or training count as missing. An encoder that follows
-    the press depth needs a bank for each depth of the touches, but only one bank is counted.
-    """
-    known = StageStore(store)
-    missing = {
-        stage for one in combinations for stage in _list_missing(one, Localizer(one.config, objects[one.object], known))
-    }
-    return {stage: sum(name == stage for name, _ in missing) for stage in STAGES}
-
-
 def choose_touches(config: RunConfig) -> SimulatedTouches:
     """Return the touches of a combination. An exact renderer draws them, whatever renderer the combination has."""
     return SimulatedTouches(config.touch.noise, config.seed, renderer=EXACT)
@@ -183,34 +166,6 @@ def name_time(line: str) -> str:
     stages = LINE_STAGES.get(line, SEARCHED)
     timed = next(name for name in TIMED_LINES if LINE_STAGES.get(name, SEARCHED) == stages)
     return f"{timed}_ms"
-
-
-def list_model_keys(localizer: Localizer) -> list[StageKey]:
-    """Return the keys of a localizer's model, in the order of building; the last is that of the bank at full press."""
-    scene, encoder = localizer.coarse_scene, localizer.encoder
-    grid = make_grid_key(scene, localizer.sampler)
-    shapes = make_shapes_key(grid, scene, localizer.grid_judge)
-    training = make_encoder_key(shapes, encoder, localizer.sampler)
-    trained = "" if training is None else training.digest
-    bank = make_bank_key(shapes, encoder, localizer.scene.geometry.max_depth_m, trained)
-    return [grid, shapes, *([] if training is None else [training]), bank]
-
-
-def _list_missing(one: Combination, localizer: Localizer) -> set[tuple[str, str]]:
-    """Return the stages, each with an identifier, that a combination needs and its localizer's store lacks."""
-    *learned, bank = list_model_keys(localizer)
-    has = localizer.store.get
-    missing = {(key.stage, key.digest) for key in (*learned, bank) if has(key) is None}
-    whole = all(has(key) is not None for key in learned)  # if true, the next keys need no building
-    fitted = one.config.temperature is not None or localizer.encoder.capabilities.temperature is not None
-    if not fitted and whole:
-        fitted = has(localizer.listed.temperature_key()) is not None
-    if not fitted:
-        missing.add(("temperature", bank.digest))
-    touches = choose_touches(one.config)
-    if not (whole and fitted and has(make_evaluation_key(localizer, one.count, touches)) is not None):
-        missing.add(("evaluation", one.key))
-    return missing
 
 
 def _load(configs: Sequence[ObjectConfig]) -> dict[str, tuple[ObjectConfig, ObjectModel]]:

@@ -1,7 +1,4 @@
-"""The tables of a sweep: sweep.csv, .parquet, .md and .json, differences.csv and touches.csv.
-
-Other commands read sweep.json.
-"""
+"""The tables of a sweep: sweep.csv, .parquet, .md and .json, differences.csv and touches.csv."""
 
 import csv
 import math
@@ -30,7 +27,7 @@ from tactile_loc.evaluation.text_tables import (
     write_texts,
 )
 from tactile_loc.slots.registry import SLOTS
-from tactile_loc.store.files import read_json, write_atomically, write_text
+from tactile_loc.store.files import write_atomically, write_text
 
 SCHEMA_VERSION = 1
 DIFFERENCES = (
@@ -117,32 +114,6 @@ def record_sweep(sweep: Sweep, line: str) -> dict[str, Any]:
         differences=list_differences(sweep, line),
         rows=[{**row, "configuration": configurations[row["key"]]} for row in sweep.rows],
     )
-
-
-def read_sweep(folder: Path) -> dict[str, Any]:
-    """Read the sweep.json of a folder. Raises ConfigError if the file is missing or damaged."""
-    path = folder / "sweep.json"
-    try:
-        found = read_json(path)
-        _require_rows(found["rows"])
-        _ = dict(found["versions"])
-    except FileNotFoundError as error:
-        raise ConfigError(f"there is no file {path}; give the `out` folder of a finished sweep") from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"{path} is damaged ({type(error).__name__}); run this sweep again") from error
-    return dict(found)
-
-
-def _require_rows(rows: list[dict[str, Any]]) -> None:
-    """Raise an error that `read_sweep` catches if a row lacks its combination, or has an error that is not a number."""
-    if not rows:
-        raise ValueError("it has no row")
-    for row in rows:
-        chosen = [row["configuration"][slot] for slot in SLOTS]
-        said = [row[name] for name in IDENTITY], [(one["name"], one["options"].items()) for one in chosen]
-        medians = [value for name, value in row.items() if name.endswith("_median_mm")]
-        if not said or not all(value is None or isinstance(value, int | float) for value in medians):
-            raise ValueError("an error is not a number")
 
 
 def format_summary(sweep: Sweep, line: str) -> str:

@@ -1,22 +1,12 @@
 """The full product of a plan, its order, and the inputs of a row's key."""
 
-from collections import Counter
-
 import pytest
 import trimesh
 
-from tactile_loc import Localizer, Plan, StageStore
+from tactile_loc import Plan
 from tactile_loc.core.runtime.errors import ConfigError, ObjectError, SensorError, UnknownPluginError
-from tactile_loc.evaluation.jobs import do_job
 from tactile_loc.evaluation.sweep import combination as module
-from tactile_loc.evaluation.sweep.combination import (
-    STAGES,
-    CombinationJob,
-    combine,
-    find_missing_stages,
-    list_model_keys,
-    order_for_running,
-)
+from tactile_loc.evaluation.sweep.combination import combine, order_for_running
 
 
 def keys(values: dict) -> list[str]:
@@ -91,37 +81,3 @@ def test_a_component_with_other_code_makes_another_row(monkeypatch):
 def test_impossible_combinations_are_refused(values, kind, said):
     with pytest.raises(kind, match=said):
         combine(Plan.from_values(values))
-
-
-VALUES = {"object": "pin", "noise": "none", "count": 1}
-MOCO = {"name": "moco", "epochs": 1, "queries": 32, "batch": 32, "channels": 4}
-
-
-@pytest.mark.parametrize(
-    ("encoder", "temperature"),
-    [
-        pytest.param([{"name": "pixel", "cells": 12}], {}, id="pixel"),
-        pytest.param([MOCO], {"temperature": 0.1}, id="moco", marks=pytest.mark.slow),
-    ],
-)
-def test_the_planned_keys_equal_the_built_keys(tmp_path, tiny, encoder, temperature):
-    if encoder == [MOCO]:
-        pytest.importorskip("torch")
-    plain = {key: value for key, value in tiny.items() if key != "temperature"}
-    combinations, objects = combine(
-        Plan.from_values({**plain, **VALUES, "encoder": encoder, "refiner": "none", **temperature})
-    )
-    (one,) = combinations
-    before = find_missing_stages(combinations, objects, tmp_path)
-    outcome = do_job(CombinationJob(one.key, one.config, one.count, tmp_path), objects["pin"])
-    assert not outcome.error
-    built = Counter(name.split()[0] for name in outcome.built)
-    del built["field"]  # not planned, because it takes a fraction of a second
-    assert {**built, "bank": 1} == {stage: count for stage, count in before.items() if count}
-    planned = list_model_keys(Localizer(one.config, objects["pin"], StageStore(tmp_path / "empty")))
-    assert [key.stage for key in planned] == [stage for stage in STAGES[:4] if before[stage]]
-    assert {str(key) for key in planned} <= set(outcome.built)
-    others = {name for name in outcome.built if name.split()[0] not in ("temperature", "evaluation", "bank", "field")}
-    assert others <= {str(key) for key in planned}
-    assert not (tmp_path / "empty").exists() or StageStore(tmp_path / "empty").entries() == []
-    assert find_missing_stages(combinations, objects, tmp_path) == dict.fromkeys(STAGES, 0)

@@ -18,7 +18,7 @@ from tactile_loc.evaluation.jobs import FinishedJobs, JobOutcome, do_job
 from tactile_loc.evaluation.protocol import evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Row, Sweep, run_sweep
-from tactile_loc.evaluation.sweep.tables import format_summary, read_sweep
+from tactile_loc.evaluation.sweep.tables import format_summary
 from tactile_loc.evaluation.workers import ClusterError, DaskWorkers, LocalWorkers
 from tactile_loc.io.config import EXACT
 from tactile_loc.plugin import Progress
@@ -162,14 +162,14 @@ def test_a_sweep_writes_its_tables(swept, folder):
     written = write_sweep(folder / "written", swept, "reg-1")
     tables = [f"sweep.{suffix}" for suffix in ("json", "csv", "md", "parquet")]
     assert [path.name for path in written] == [*tables, "differences.csv", "touches.csv"]
-    rows = [{k: v for k, v in row.items() if k != "configuration"} for row in read_sweep(folder / "written")["rows"]]
+    record: dict[str, Any] = json.loads(written[0].read_text())
+    rows = [{k: v for k, v in row.items() if k != "configuration"} for row in record["rows"]]
     assert rows == swept.rows
     with written[1].open() as file:
         assert [(row["object"], row["key"]) for row in csv.DictReader(file)] == [
             (row["object"], row["key"]) for row in rows
         ]
     assert parquet.read_table(written[3]).to_pylist() == rows
-    record: dict[str, Any] = json.loads(written[0].read_text())
     assert (record["combinations"], record["failed"], record["built"]) == (4, 0, swept.built)
     assert record["plan"]["refiner"][1]["name"] == "filterreg"
     assert {"tactile-loc", "python", "numpy"} <= set(record["versions"])

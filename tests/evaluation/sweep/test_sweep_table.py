@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from message_helpers import missing, naming
 
-from tactile_loc.core.runtime.errors import ConfigError, MissingLibraryError
+from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Sweep, list_columns
-from tactile_loc.evaluation.sweep.tables import format_summary, list_differences, read_sweep, write_touches
+from tactile_loc.evaluation.sweep.tables import format_summary, list_differences, write_touches
 from tactile_loc.evaluation.text_tables import require_parquet, write_parquet
 from tactile_loc.slots.registry import SLOTS
 
@@ -170,10 +170,3 @@ def test_the_long_table_has_a_row_for_each_touch_and_line(planted, tmp_path):
     errors = [float(row["error_mm"]) for row in own if (row["refiner"], row["encoder.cells"]) == ("icp", "20")]
     assert errors == pytest.approx(hard.tolist())
     assert [int(row["refused"]) for row in own[:TOUCHES]] == [int(row["touch"]) for row in own[:TOUCHES]]
-
-
-@pytest.mark.parametrize("rows", [[], [{}], [{"configuration": {}}], 3, [[]], ["\ud800"]])
-def test_an_invalid_sweep_file_is_refused(tmp_path, rows):
-    (tmp_path / "sweep.json").write_text(json.dumps({"rows": rows, "versions": {}}))
-    with pytest.raises(ConfigError, match=naming(tmp_path / "sweep.json")):
-        read_sweep(tmp_path)
