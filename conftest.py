@@ -22,7 +22,7 @@ import pytest
 import trimesh
 from cli_helpers import HANGS_S, Cli, command
 from extras import find_missing_cause, find_missing_library
-from report_helpers import UNFRIENDLY, write_contacts, write_evaluation, write_recall, write_run, write_sweep
+from report_helpers import UNFRIENDLY, write_recall, write_run, write_sweep
 from tactile_loc_cli import console
 from tactile_loc_cli.main import app
 from typer.testing import CliRunner, Result
@@ -312,21 +312,9 @@ def unfriendly_run(localizer: Localizer, tmp_path_factory: pytest.TempPathFactor
 
 
 @pytest.fixture(scope="session")
-def evaluation_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An evaluation, with random results."""
-    return write_evaluation(tmp_path_factory.mktemp("evaluation"))
-
-
-@pytest.fixture(scope="session")
 def recall_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An evaluation of what `run` answers, with random results."""
     return write_recall(tmp_path_factory.mktemp("recall"))
-
-
-@pytest.fixture(scope="session")
-def contacts_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An evaluation of several contacts together, with random results."""
-    return write_contacts(tmp_path_factory.mktemp("contacts"))
 
 
 @pytest.fixture(scope="session")

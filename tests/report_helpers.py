@@ -18,7 +18,6 @@ from tactile_loc.evaluation.metrics import METRICS as RECALL_METRICS
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.paper.fusion import FUSED_LINES, FUSION_LINES
 from tactile_loc.evaluation.paper.single_touches import METRICS
-from tactile_loc.evaluation.paper.tables import collect_contacts, collect_touches
 from tactile_loc.evaluation.protocol import LINES, STAGES
 from tactile_loc.evaluation.recall.tables import collect_answers
 from tactile_loc.evaluation.sweep.combination import TIMED_LINES, TOUCHES, Combination, combine
@@ -56,18 +55,6 @@ def make_touch_table(name: str, encoder: str, seed: int, touches: int = 12) -> E
     )  # fmt: skip
 
 
-def write_evaluation(folder: Path, names: tuple[str, ...] = ("pin", "hook"), touches: int = 12) -> Path:
-    """Write the files of an evaluation with random errors, and one gallery."""
-    from PIL import Image
-
-    tables = [make_touch_table(name, "pixel", seed, touches) for seed, name in enumerate(names)]
-    runs = [EvaluatedRun(table, {"grid": {"name": "face"}}) for table in tables]
-    protocol = {"touches": touches, "noise": "mild", "seed": 1, "images": False}
-    collect_touches(runs, protocol, "title").write(folder)
-    Image.new("RGB", (2000, 300), "white").save(folder / "gallery-pin-pixel.png")
-    return folder
-
-
 CONTACTS = (1, 2, 5)
 
 
@@ -83,13 +70,6 @@ def make_contact_table(name: str, encoder: str, seed: int, examples: int = 40) -
         object=name, symmetry="none", encoder=encoder, noise="mild", seed=1, grid_poses=1000, touches=touches,
         example=example, refused=2,
     )  # fmt: skip
-
-
-def write_contacts(folder: Path) -> Path:
-    """Write the files of an evaluation from 1, 2 and 5 contacts."""
-    run = EvaluatedRun(make_contact_table("pin", "pixel", 0, 9))
-    collect_contacts([run], {"examples": 9, "noise": "mild", "seed": 1}, "title").write(folder)
-    return folder
 
 
 def make_recall_runs(names: tuple[str, ...] = ("pin", "hook"), examples: int = 12) -> list[EvaluatedRun]:
@@ -118,10 +98,10 @@ def make_recall_runs(names: tuple[str, ...] = ("pin", "hook"), examples: int = 1
     return runs
 
 
-def write_recall(folder: Path) -> Path:
+def write_recall(folder: Path, names: tuple[str, ...] = ("pin", "hook")) -> Path:
     """Write the files of an evaluation of what `run` answers, with random results."""
     about = {"examples": 12, "noises": ["none", "strong"], "seeds": [5], "images": False}
-    collect_answers(make_recall_runs(), about, "title").write(folder)
+    collect_answers(make_recall_runs(names), about, "title").write(folder)
     return folder
 
 

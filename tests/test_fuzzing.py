@@ -14,7 +14,7 @@ from record import Record
 
 from tactile_loc.core.runtime.errors import ConfigError
 
-PAGES = ["result", "evaluation", "contacts", "sweep", "touch-png", "artifact"]
+PAGES = ["result", "evaluation", "sweep", "touch-png", "artifact"]
 OTHERS = [name for name in READERS if name not in PAGES]
 
 

@@ -6,7 +6,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from report_helpers import write_contacts, write_evaluation
+from report_helpers import write_recall
 
 from fuzzing import corpora
 from tactile_loc.core.geometry.rigid import is_rigid
@@ -244,8 +244,7 @@ _ALL = (
     Reader("artifact", corpora.artifact, _artifact, "", ("fuzzed/*/*",)),
     Reader("result", corpora.result, _reported, REPORT, ("result.*",)),
     Reader("next-touch", corpora.result, _next_touch, NEXT, ("result.*", "approaches.toml"), False),
-    Reader("evaluation", partial(write_evaluation, touches=5), _reported, REPORT),
-    Reader("contacts", write_contacts, _reported, REPORT),
+    Reader("evaluation", write_recall, _reported, REPORT),
     Reader("sweep", corpora.sweep, _reported, REPORT),
     _recorded("mcap", corpora.mcap, "drive.mcap"),
     _recorded("mcap-compressed", corpora.compressed, "drive.mcap"),

@@ -8,7 +8,7 @@ from tactile_loc.core.runtime.errors import OutputError, ResultError
 from tactile_loc.reports.page import JSON_OPTIONS, Page, name_damage, render
 from tactile_loc.store.files import write_atomically
 
-KINDS = {"result": "run", "recall": "recall", "results": "evaluation", "contacts": "contacts", "sweep": "sweep"}
+KINDS = {"result": "run", "recall": "recall", "sweep": "sweep"}
 BENCHMARK = "benchmark.json"  # a result of the package tactile-loc-benchmark
 SUFFIXES = (".json", ".npz", ".csv", ".md", ".png")
 DEFAULT_NAME = "report.html"
@@ -38,13 +38,7 @@ def make_page(document: Path) -> Page:
     """Return the page of the result in a JSON file. Raises ResultError if the result's files cannot be used."""
     from tactile_loc.reports import evaluation, run, sweep
 
-    makers = {
-        "run": run.make_run_page,
-        "evaluation": evaluation.make_evaluation_page,
-        "contacts": evaluation.make_contacts_page,
-        "recall": evaluation.make_recall_page,
-        "sweep": sweep.make_sweep_page,
-    }
+    makers = {"run": run.make_run_page, "recall": evaluation.make_recall_page, "sweep": sweep.make_sweep_page}
     with name_damage(document):
         page = makers[KINDS[document.stem]](document)
         json.dumps(page.data, **JSON_OPTIONS)  # raises for a number that is not finite

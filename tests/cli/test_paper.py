@@ -53,7 +53,6 @@ def test_one_command_writes_all_results_beside_those_of_the_paper(cli, tmp_path)
     assert measured[2:4] == ["measured", f"{first['median_normalised']:.3f}"]
     assert published[2:4] == ["paper", f"{PUBLISHED['pin']['best-1']:.2f}"]
     assert float(best[9]) == pytest.approx(records["contacts"]["summary"][6]["median_normalised"], abs=1e-3)
-    assert cli("report", "paper/contacts.json", "--out", "contacts.html").exit_code == 0
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ def test_a_run_writes_the_files_for_a_report_at_a_usable_path(cli):
     assert_refused(cli("report", "out", "--out", "page.pdf"), ".html", "page.pdf")
     assert not Path("page.pdf").exists()
     Path("empty").mkdir()
-    assert_refused(cli("report", "empty"), "empty", "contacts.json")
+    assert_refused(cli("report", "empty"), "empty", "recall.json")
 
 
 @pytest.mark.slow

@@ -1,10 +1,13 @@
 """The page of an evaluation of what `run` answers agrees with its JSON."""
 
+import json
+import shutil
 from pathlib import Path
 
 import pytest
 from report_helpers import Elements, html_of, make_recall_runs, page_in
 
+from tactile_loc.core.runtime.errors import ResultError
 from tactile_loc.evaluation.recall import tables
 from tactile_loc.evaluation.summary import measure_recall
 from tactile_loc.evaluation.table import ExampleTable, join_runs
@@ -44,3 +47,18 @@ def test_scripts_draw_the_errors_of_every_example_in_mm(folder, table):
 
 def test_examples_without_a_pose_are_listed_with_their_reason(folder):
     assert ["the file is damaged", "8"] in Elements(html_of(folder)).rows
+
+
+def test_a_wrong_file_gives_a_one_sentence_error(recall_folder, tmp_path):
+    folder = shutil.copytree(recall_folder, tmp_path / "copy")
+    path = folder / "recall.json"
+    document = json.loads(path.read_text())
+    for changed, says in (
+        ({"schema_version": 9}, "9"),
+        *(({"runs": runs}, "run") for runs in ([], None)),
+        ({"protocol": {}}, "'noises'"),
+        ({"runs": [{"object": "a"}]}, "encoder"),
+    ):
+        path.write_text(json.dumps({**document, **changed}))
+        with pytest.raises(ResultError, match=f"recall.json.*{says}"):
+            page_in(folder)

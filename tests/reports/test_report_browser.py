@@ -132,30 +132,6 @@ def assert_dark_theme_draws_anew(browser: Any) -> None:
 
 
 @pytest.mark.slow
-def test_the_page_of_an_evaluation_is_drawn_and_its_menus_work(show, evaluation_folder):
-    browser = show(evaluation_folder)
-    assert set(plots(browser)) == {"errors", "curves", "coverage", "entropy", "times"}
-    assert min(plots(browser).values()) > 0
-    document = json.loads((evaluation_folder / "results.json").read_text())
-    run = document["runs"][1]
-    table = ExampleTable.read(document["examples"]).group("object")[run["object"],]
-    choose(browser, "object", "1")
-    choose(browser, "shape", "box")
-    choose(browser, "metric", "mssd")
-    script = "return document.getElementById('errors').data.map(t => [t.type, t.name, Array.from(t.y)])"
-    drawn = browser.execute_script(script)
-    assert {kind for kind, _, _ in drawn} == {"box"}
-    assert {name: values for _, name, values in drawn}["reg-1"] == pytest.approx(
-        1e3 * table.errors_m("reg-1", "mssd"), rel=1e-4
-    )
-    choose(browser, "scale", "share")
-    choose(browser, "line", "best-1")
-    x = browser.execute_script("return Array.from(document.getElementById('curves').data[1].x)")
-    expected = sorted(table.errors_m("best-1", "mssd") / run["random_mean_m"]["mssd"])
-    assert x == pytest.approx(expected, rel=1e-4)
-
-
-@pytest.mark.slow
 def test_the_page_of_what_run_answers_is_drawn_and_its_menus_work(show, recall_folder):
     browser = show(recall_folder)
     assert set(plots(browser)) == {"curves", "verdicts-plot", "reliability-plot"}
@@ -170,15 +146,6 @@ def test_the_page_of_what_run_answers_is_drawn_and_its_menus_work(show, recall_f
     known = sorted(errors[errors <= 50])
     assert x[1:-1] == pytest.approx([max(e, 0.02) for e in known], rel=1e-4)
     assert y[-1] == pytest.approx(100 * len(known) / len(errors))
-
-
-@pytest.mark.slow
-def test_the_page_of_several_contacts_is_drawn(show, contacts_folder):
-    browser = show(contacts_folder)
-    medians = "return document.getElementById('curves').data.filter(t => t.mode === 'lines+markers').length"
-    assert browser.execute_script(medians) == 4
-    choose(browser, "line", "best-1")
-    assert browser.execute_script(medians) == 1
 
 
 def visible_rows(browser: Any) -> list[list[str]]:

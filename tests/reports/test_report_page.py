@@ -5,14 +5,14 @@ import re
 
 import pytest
 from message_helpers import naming
-from report_helpers import UNFRIENDLY, Elements, html_of, write_evaluation, write_sweep
+from report_helpers import UNFRIENDLY, Elements, html_of, write_recall, write_sweep
 
 from tactile_loc.core.runtime.errors import OutputError
 from tactile_loc.reports import write_report
 from tactile_loc.reports.page import Page, Section, render
 
 
-@pytest.fixture(params=["run_folder", "evaluation_folder", "contacts_folder", "sweep_folder"])
+@pytest.fixture(params=["run_folder", "recall_folder", "sweep_folder"])
 def html(request) -> str:
     return html_of(request.getfixturevalue(request.param))
 
@@ -42,7 +42,7 @@ def test_user_names_are_shown_as_text(unfriendly_run, tmp_path):
     evaluation, sweep = tmp_path / "evaluation", tmp_path / "sweep"
     evaluation.mkdir()
     sweep.mkdir()
-    write_evaluation(evaluation, names=(UNFRIENDLY, "pin"))
+    write_recall(evaluation, names=(UNFRIENDLY, "pin"))
     rows = [{"object": UNFRIENDLY, "refiner": name, "chosen_median_mm": 1, "error": ""} for name in ("a", "b")]
     write_sweep(sweep, [*rows, {**rows[0], "error": UNFRIENDLY}])
     for folder in (unfriendly_run, evaluation, sweep):
@@ -70,10 +70,10 @@ def test_the_page_permits_only_its_own_scripts():
     assert "unsafe-inline" not in policy.split("script-src")[1]
 
 
-def test_a_report_is_written_completely_or_not_at_all(evaluation_folder, tmp_path):
-    written = write_report(evaluation_folder, tmp_path / "new" / "page.html")
+def test_a_report_is_written_completely_or_not_at_all(recall_folder, tmp_path):
+    written = write_report(recall_folder, tmp_path / "new" / "page.html")
     assert written.read_text(encoding="utf-8").endswith("</html>\n")
     assert [path.name for path in written.parent.iterdir()] == ["page.html"]
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match=naming("page.html", "`out`")):
-        write_report(evaluation_folder, tmp_path / "file" / "page.html")
+        write_report(recall_folder, tmp_path / "file" / "page.html")

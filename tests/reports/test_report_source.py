@@ -22,10 +22,10 @@ def test_a_folder_or_any_of_its_files_names_the_result(folder):
 
 
 def test_a_folder_with_several_results_needs_a_file_name(folder):
-    (folder / "contacts.json").write_text("{}")
-    with pytest.raises(ResultError, match=naming("result.json", "contacts.json") + r"(?!.*sweep\.json)"):
+    (folder / "recall.json").write_text("{}")
+    with pytest.raises(ResultError, match=naming("result.json", "recall.json") + r"(?!.*sweep\.json)"):
         find_result(folder)
-    assert find_result(folder / "contacts.json") == folder / "contacts.json"
+    assert find_result(folder / "recall.json") == folder / "recall.json"
 
 
 def test_a_path_without_a_result_gives_a_one_sentence_error(tmp_path):

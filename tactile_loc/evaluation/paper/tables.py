@@ -276,12 +276,10 @@ def name_contacts(number: int) -> str:
     return "1 contact" if number == 1 else f"{number} contacts"
 
 
-def tabulate_contacts(
-    rows: Sequence[Row], cell: Callable[[Row], str] = format_both, names: Sequence[str] = ("object", "encoder", "line")
-) -> Table:
-    """Return a row for each combination of `names`, from `summarise_lines`: the `cell` by number of contacts."""
+def tabulate_contacts(rows: Sequence[Row], cell: Callable[[Row], str] = format_both) -> Table:
+    """Return a row for each object, encoder and line, from `summarise_lines`: the `cell` by number of contacts."""
     named = [{**row, "contacts": name_contacts(row["contacts"])} for row in rows]
-    return pivot(named, names, "contacts", cell)
+    return pivot(named, ("object", "encoder", "line"), "contacts", cell)
 
 
 def collect_contacts(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str) -> EvaluationResults:
