@@ -11,7 +11,7 @@ OPTIONAL = {
     "gtsam", "imageio", "kiss_icp", "lxml", "lz4", "manifold3d", "markdown", "mcap", "mujoco", "nbformat", "networkx",
     "open3d", "pyarrow", "pyrender", "rerun", "rosbags", "rtree", "ruff", "selenium", "small_gicp",
     "tactile_loc_app", "tactile_loc_benchmark", "tactile_loc_inspect", "tactile_loc_library",
-    "tactile_loc_test_object", "tactile_loc_touchability", "tensorboard", "torch", "viser", "yaml", "zstandard",
+    "tactile_loc_test_object", "tactile_loc_touchability", "torch", "viser", "yaml", "zstandard",
 }  # fmt: skip
 NOT_INSTALLED = re.compile(r"needs ([\w-]+), which is not installed|No module named '([\w.]+)'")
 

@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any
 
 from tactile_loc.core.runtime.formatting import show_name
-from tactile_loc.core.runtime.progress import NOTE, Progress, rank
+from tactile_loc.core.runtime.progress import NOTE, Progress
 
 logger = logging.getLogger(__name__)
 
@@ -40,12 +40,11 @@ UNKNOWN_WIDTH, NARROWEST = 160, 20  # characters: width without a terminal, and 
 
 
 def say(text: str = "") -> None:
-    """Write a line of results, without wrapping it. If several processes work together, only the first one writes.
+    """Write a line of results, without wrapping it.
 
     Line breaks and other characters that cannot be printed, which come from names of files, are escaped.
     """
-    if rank() == 0:
-        sys.stdout.write(show_name(text) + "\n")
+    sys.stdout.write(show_name(text) + "\n")
 
 
 def say_written(paths: Iterable[Path]) -> list[str]:
@@ -287,8 +286,8 @@ class Lines(Progress):
 def make_progress() -> Progress:
     """Return progress bars if stderr is a terminal, and otherwise progress lines.
 
-    With -q, and in all but the first of several processes, return a Progress that shows nothing.
+    With -q, return a Progress that shows nothing.
     """
-    if rank() != 0 or not is_shown(logging.WARNING):
+    if not is_shown(logging.WARNING):
         return Progress()
     return Bars() if sys.stderr.isatty() else Lines()

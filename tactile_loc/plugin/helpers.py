@@ -82,6 +82,5 @@ if TYPE_CHECKING:
     from tactile_loc.core.runtime.compiled import use_one_blas_thread as use_one_blas_thread
     from tactile_loc.core.runtime.errors import did_you_mean as did_you_mean
     from tactile_loc.core.runtime.formatting import show_name as show_name
-    from tactile_loc.core.runtime.progress import rank as rank
 
 __all__, __getattr__, __dir__ = lazy_names(__name__)

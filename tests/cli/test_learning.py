@@ -99,17 +99,6 @@ def test_a_truncated_stored_encoder_is_trained_again(cli):
     assert stored.read_bytes() == whole
 
 
-@pytest.mark.slow
-def test_training_writes_tensorboard_events(cli):
-    pytest.importorskip("tensorboard")
-    assert build(cli, "-o", "encoder.tensorboard=log").exit_code == 0
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    events = EventAccumulator("log").Reload()
-    assert {"loss", "validation/loss", "validation/best-1_mm"} <= set(events.Tags()["scalars"])
-    assert [event.step for event in events.Scalars("loss")] == [1, 2]
-
-
 WHOLE = ["--object", "pin", "--grid", "whole", "-o", "grid.directions=100", "--sensor", "flat.toml", *SURE, *MOCO]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -40,8 +39,3 @@ class StageTimes:
     def shared_among(self, count: int) -> StageTimes:
         """Return all times divided by `count`: the share of one item when `count` items were processed together."""
         return StageTimes({name: seconds / count for name, seconds in self.seconds.items()})
-
-
-def rank() -> int:
-    """Return this process's number among the processes that torchrun started together; 0 without torchrun."""
-    return int(os.environ.get("RANK", "0"))

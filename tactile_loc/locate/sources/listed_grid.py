@@ -20,7 +20,7 @@ from tactile_loc.core.poses.posterior import Mode, PosePosterior
 from tactile_loc.core.poses.priors import Prior
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import GridError
-from tactile_loc.core.runtime.progress import NOTE, Progress, StageTimes, rank
+from tactile_loc.core.runtime.progress import NOTE, Progress, StageTimes
 from tactile_loc.core.sensing.scene import DepthRenderer, Scene, View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import propose_together, split_modes
@@ -262,8 +262,7 @@ def train_encoder(
     """Train `encoder` on a problem, or load the weights stored under `key`; return the weights' digest.
 
     If the encoder needs no training, `key` is None and the digest is empty. `name` is that of the object, for a
-    message. If torchrun started several processes, they train together, and the first process stores the weights.
-    Raises the errors of `Encoder.fit`.
+    message. Raises the errors of `Encoder.fit`.
     """
     if key is None:
         return ""
@@ -273,10 +272,7 @@ def train_encoder(
         encoder.fit(problem(WorkspaceCheckpoints(work)))
         work.save_file(WEIGHTS, encoder.save_weights)
 
-    if rank() > 0 and store.get(key) is None:  # the first process holds the lock and waits for this one in `fit`
-        encoder.fit(problem(Checkpoints()))
-    else:
-        encoder.load_weights(store.build(key, fit).find_file(WEIGHTS))
+    encoder.load_weights(store.build(key, fit).find_file(WEIGHTS))
     return key.digest
 
 

@@ -6,7 +6,6 @@ the grid pose nearest to the true pose. The loss is the cross-entropy of the sof
 shapes without noise.
 """
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -74,9 +73,6 @@ class MocoEncoder(Encoder):
         device: Literal["auto", "cpu", "cuda"] = Field(
             default="auto", description="where to compute", json_schema_extra=NEUTRAL
         )
-        tensorboard: str | None = Field(
-            default=None, description="folder for a TensorBoard log of the training", json_schema_extra=NEUTRAL
-        )
 
     def __init__(self, options: ComponentOptions | None = None) -> None:
         super().__init__(options)
@@ -90,10 +86,7 @@ class MocoEncoder(Encoder):
 
     def describe(self) -> dict[str, Any]:
         """Return everything that determines the encoder's output, as JSON values: the recipe, but not the device."""
-        described = super().describe()
-        if not self.options.decoys:
-            del described["options"]["decoys"]  # encoders that were trained before this option existed keep their keys
-        return {**described, "recipe": asdict(self.recipe)}
+        return {**super().describe(), "recipe": asdict(self.recipe)}
 
     @property
     def device(self) -> torch.device:
@@ -106,14 +99,13 @@ class MocoEncoder(Encoder):
             )
         if wanted == "cpu" or not torch.cuda.is_available():
             return torch.device("cpu")
-        return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))  # torchrun's number of this process
+        return torch.device("cuda")
 
     def fit(self, problem: TrainingProblem) -> None:
-        """Train on simulated touches, together with the other processes if torchrun started several.
+        """Train on simulated touches.
 
-        Raises GridError when the grid is too large for the memory, WeightsError when pretrained weights do not fit, and
-        TrainingError when the loss becomes NaN in the first epoch. Raises ConfigError when CUDA is requested but
-        absent, and MissingLibraryError when a library is not installed.
+        Raises GridError when the grid is too large for the memory, WeightsError when pretrained weights do not fit,
+        TrainingError when the loss becomes NaN in the first epoch, and ConfigError when CUDA is requested but absent.
         """
         _require_memory(self.recipe, len(problem))
         _reset_threads()
@@ -123,7 +115,7 @@ class MocoEncoder(Encoder):
                 recipe, **{name: value for name, value in PLACES.items() if getattr(options, name) is None}
             )
         network = self._make_network(options.seed, problem.partly_seen)
-        trainer = Trainer(recipe, problem, network, self.device, options.tensorboard, options.decoys)
+        trainer = Trainer(recipe, problem, network, self.device, options.decoys)
         self._network = trainer.run()
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:

@@ -1,10 +1,9 @@
-"""Training of the learned encoder: the processes that train together, the log, and the loop."""
+"""Training of the learned encoder."""
 
 import copy
 import json
 import logging
 import math
-import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,75 +13,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 import torch
-import torch.distributed as dist
 import torch.nn.functional as F  # noqa: N812 - torch's own abbreviation
 from torch import nn
 
-from tactile_loc.plugin import MissingLibraryError, TrainingBatch, TrainingError, TrainingProblem, TrainingTouches
-from tactile_loc.plugin.helpers import make_noise, rank
+from tactile_loc.plugin import TrainingBatch, TrainingError, TrainingProblem, TrainingTouches
+from tactile_loc.plugin.helpers import make_noise
 from tactile_loc.plugins.encoders.moco.backbones import Backbone
 from tactile_loc.plugins.encoders.moco.recipe import Recipe
 
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-
-
-class Crew:
-    """The processes that train together: `rank` of `size`. Rank 0 writes all files. A single process sends nothing."""
-
-    def __init__(self, device: torch.device) -> None:
-        """Join the processes that torchrun started, if any. `device` holds the tensors that are sent."""
-        self.size = int(os.environ.get("WORLD_SIZE", "1"))
-        self.rank = rank()
-        self.device = device
-        if self.size > 1:
-            dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
-
-    def leave(self) -> None:
-        """Leave the crew, so that each process can end on its own."""
-        if self.size > 1:
-            dist.destroy_process_group()
-
-    def share(self, count: int) -> int:
-        """Return each process's share of `count` items, at least one."""
-        return max(1, count // self.size)
-
-    def average(self, tensors: Iterable[torch.Tensor]) -> None:
-        """Replace each tensor (...), in place, by its mean over all processes."""
-        if self.size > 1:
-            for tensor in tensors:
-                dist.all_reduce(tensor)
-                tensor /= self.size
-
-    def add(self, tensor: torch.Tensor) -> torch.Tensor:
-        """Replace a tensor (...), in place, by its sum over all processes, and return it."""
-        if self.size > 1:
-            dist.all_reduce(tensor)
-        return tensor
-
-    def agree(self, value: T) -> T:
-        """Return the value of the first process, in all processes."""
-        if self.size == 1:
-            return value
-        sent: list[Any] = [value]
-        dist.broadcast_object_list(sent, device=self.device)
-        return sent[0]  # type: ignore[no-any-return]
-
-
-def open_board(folder: str, epochs_done: int) -> Any:
-    """Open a TensorBoard log, and hide the points of an interrupted run after `epochs_done`.
-
-    Raises MissingLibraryError when TensorBoard is not installed.
-    """
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise MissingLibraryError(
-            "encoder.tensorboard needs tensorboard, which is not installed: pip install tensorboard"
-        ) from error
-    return SummaryWriter(Path(folder).expanduser(), purge_step=epochs_done + 1)
-
 
 VALIDATION_TOUCHES = 256
 VALIDATION_PRESSES = 4
@@ -110,23 +51,15 @@ class Trainer:
     """
 
     def __init__(
-        self,
-        recipe: Recipe,
-        problem: TrainingProblem,
-        network: Backbone,
-        device: torch.device,
-        log_folder: str | None = None,
-        decoys: int = 0,
+        self, recipe: Recipe, problem: TrainingProblem, network: Backbone, device: torch.device, decoys: int = 0
     ) -> None:
         """Prepare a training. `decoys` is the number of wrongly rotated views of each touch, for the grid `whole`."""
-        self.recipe, self.problem, self.device, self.log_folder = recipe, problem, device, log_folder
-        self.crew = Crew(device)
+        self.recipe, self.problem, self.device = recipe, problem, device
         self.network = network.to(device)
         self.key_network = copy.deepcopy(self.network).requires_grad_(False)
         self.optimizer = _make_optimizer(recipe, self.network)
-        count = self.crew.share(recipe.queries)
-        self.queries, self.noise = count, make_noise(recipe.noise)
-        self.batch, self.decoys = min(count, self.crew.share(recipe.batch)), decoys
+        self.noise = make_noise(recipe.noise)
+        self.batch, self.decoys = min(recipe.queries, recipe.batch), decoys
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0
         self.best_weights = _copy_weights(self.network)
@@ -139,13 +72,7 @@ class Trainer:
         loss becomes NaN in a later epoch, the training stops.
         """
         self._resume()
-        self.board = open_board(self.log_folder, self.epoch) if self.log_folder and self.crew.rank == 0 else None
-        try:
-            self._run_epochs(self._render(VALIDATION_TOUCHES, 0, 1))
-        finally:
-            if self.board is not None:
-                self.board.close()
-            self.crew.leave()
+        self._run_epochs(self._render(VALIDATION_TOUCHES, 0, 1))
         self.network.load_state_dict(self.best_weights)
         return self.network.eval()
 
@@ -165,8 +92,8 @@ class Trainer:
                     break
 
     def _render_epoch(self, epoch: int) -> TrainingTouches:
-        """Render an epoch's touches. Processes that train together render different touches."""
-        return self._render(self.queries, epoch, 0, self.crew.rank)
+        """Render an epoch's touches."""
+        return self._render(self.recipe.queries, epoch, 0, 0)
 
     def _render(self, count: int, *seed: int) -> TrainingTouches:
         return self.problem.draw(count, self.noise, np.random.default_rng([self.recipe.seed, *seed]))
@@ -189,7 +116,7 @@ class Trainer:
 
     def _make_batch(self, queries: TrainingTouches, step: int) -> tuple[TrainingBatch, np.random.Generator]:
         """Return the touches of a step, with new noise, and the generator of the step's random numbers."""
-        rng = np.random.default_rng([self.recipe.seed, self.epoch, 2, self.crew.rank, step])
+        rng = np.random.default_rng([self.recipe.seed, self.epoch, 2, 0, step])
         return queries.batch(self.batch, rng, self._draw_press(self._find_refresh(step)), self.decoys), rng
 
     def _find_refresh(self, step: int) -> int:
@@ -197,10 +124,7 @@ class Trainer:
         return step - step % self.recipe.refresh if self.recipe.refresh else 0
 
     def _draw_press(self, step: int) -> float:
-        """Draw the press depth, metres, at which touches and keys are compared from this step on.
-
-        All processes draw the same press depth.
-        """
+        """Draw the press depth, metres, at which touches and keys are compared from this step on."""
         presses_m = self.problem.key_presses_m
         rng = np.random.default_rng([self.recipe.seed, self.epoch, 4, step])
         return float(presses_m[0] if len(presses_m) == 1 else rng.choice(presses_m))
@@ -215,13 +139,9 @@ class Trainer:
         loss = F.cross_entropy(self._scores(vectors, keys, batch), targets)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        self.crew.average(p.grad for p in self.network.parameters() if p.grad is not None)
         self.optimizer.step()
-        self.crew.average(b for b in self.network.buffers() if b.is_floating_point())
         follow(self.key_network, self.network, self.recipe.momentum)
-        mean_loss = loss.detach()
-        self.crew.average([mean_loss])
-        return float(mean_loss)
+        return float(loss.detach())
 
     def _rate(self, epochs_done: float) -> float:
         """Return the learning rate: it rises for half an epoch, then falls along a cosine to a hundredth."""
@@ -246,23 +166,17 @@ class Trainer:
 
     @torch.no_grad()
     def _keys(self, network: nn.Module, press_m: float) -> torch.Tensor:
-        """Encode the keys (N, D) from shapes without noise, cut at a press depth, metres.
-
-        Each process encodes a part of the keys.
-        """
+        """Encode the keys (N, D) from shapes without noise, cut at a press depth, metres."""
         problem, training = self.problem, network.training
         network.eval()
         rows = []
         for shard in self._key_shapes(press_m):
             for part in torch.tensor_split(shard, -(-len(shard) // KEYS_AT_ONCE)):
-                own = part[self.crew.rank :: self.crew.size]
-                known = np.ones(own.shape, np.bool_) if problem.partly_seen else None
-                vectors = self.recipe.embed(network, own, np.full(len(own), press_m), problem.geometry, known)
-                keys = vectors.new_zeros((len(part), vectors.shape[1]), dtype=torch.float32)
-                keys[self.crew.rank :: self.crew.size] = vectors.float()
-                rows.append(keys)
+                known = np.ones(part.shape, np.bool_) if problem.partly_seen else None
+                vectors = self.recipe.embed(network, part, np.full(len(part), press_m), problem.geometry, known)
+                rows.append(vectors.float())
         network.train(training)
-        return self.crew.add(torch.cat(rows))
+        return torch.cat(rows)
 
     def _key_shapes(self, press_m: float) -> Iterable[torch.Tensor]:
         """Return the keys' contact depths (S, H, W), metres, in shards on the device. A GPU keeps them if they fit."""
@@ -298,15 +212,10 @@ class Trainer:
 
         The loss decides, because it varies less from epoch to epoch than the pose error.
         """
-        validation_loss, error_m = self.crew.agree(self._validate(validation))
+        validation_loss, error_m = self._validate(validation)
         shown = f"loss {loss:.2f}, validation loss {validation_loss:.2f}, validation best-1 {error_m * 1e3:.2f} mm"
         self.problem.progress.note(shown)
         log.info("epoch %d: %s", self.epoch, shown)
-        if self.board is not None:
-            self.board.add_scalar("loss", loss, self.epoch)
-            self.board.add_scalar("validation/loss", validation_loss, self.epoch)
-            self.board.add_scalar("validation/best-1_mm", error_m * 1e3, self.epoch)
-            self.board.flush()
         if validation_loss < self.best:
             self.best, self.stale, self.best_weights = validation_loss, 0, _copy_weights(self.network)
         else:
@@ -321,8 +230,6 @@ class Trainer:
     def _checkpoint(self) -> None:
         from safetensors.torch import save_file
 
-        if self.crew.rank > 0:
-            return
         parts = {"best": self.best_weights, "network": self.network.state_dict(), "key": self.key_network.state_dict()}
         parts |= {f"optimizer.{number}": state for number, state in self.optimizer.state_dict()["state"].items()}
         tensors = {
@@ -335,11 +242,10 @@ class Trainer:
         self.problem.checkpoints.save(lambda path: save_file(tensors, path, {"progress": json.dumps(progress)}))
 
     def _resume(self) -> None:
-        path = self.problem.checkpoints.load() if self.crew.rank == 0 else None
-        found = self.crew.agree(None if path is None else _read_checkpoint(path))
-        if found is None:
+        path = self.problem.checkpoints.load()
+        if path is None:
             return
-        tensors, progress = found
+        tensors, progress = _read_checkpoint(path)
         self.epoch, self.best, self.stale = progress["epoch"], progress["best"], progress["stale"]
         self.best_weights = _select_prefixed(tensors, "best.")
         self.network.load_state_dict(_select_prefixed(tensors, "network."))
