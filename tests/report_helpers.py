@@ -17,7 +17,6 @@ from tactile_loc.evaluation.jobs import JobOutcome
 from tactile_loc.evaluation.metrics import METRICS as RECALL_METRICS
 from tactile_loc.evaluation.metrics import POSTERIOR_METRICS
 from tactile_loc.evaluation.paper.fusion import FUSED_LINES, FUSION_LINES
-from tactile_loc.evaluation.paper.single_touches import METRICS
 from tactile_loc.evaluation.protocol import LINES, STAGES
 from tactile_loc.evaluation.recall.tables import collect_answers
 from tactile_loc.evaluation.sweep.combination import TIMED_LINES, TOUCHES, Combination, combine
@@ -44,12 +43,11 @@ def write_run(folder: Path, localizer: Localizer, touch_name: str | None = None)
 def make_touch_table(name: str, encoder: str, seed: int, touches: int = 12) -> ExampleTable:
     """The table of an evaluation from one touch, with random errors."""
     rng = np.random.default_rng(seed)
-    errors_m = rng.uniform(1e-4, 3e-2, (touches, len(LINES), len(METRICS)))
+    errors_m = rng.uniform(1e-4, 3e-2, (touches, len(LINES), 1))
     stages = dict(zip([f"{stage}_s" for stage in STAGES], rng.uniform(0, 0.01, (len(STAGES), touches)), strict=True))
     metrics = dict(zip(POSTERIOR_METRICS, rng.uniform(0, 1, (len(POSTERIOR_METRICS), touches)), strict=True))
-    ratios, shares = rng.uniform(0, (3, 0.2), (touches, 2)).T
     return ExampleTable.make(
-        {**name_errors(errors_m, LINES, METRICS), **stages, **metrics, "ambiguity": ratios, "contact_share": shares},
+        {**name_errors(errors_m, LINES, ("add",)), **stages, **metrics},
         object=name, symmetry="z2", encoder=encoder, noise="mild", seed=1, grid_poses=500, touches=1,
         example=np.arange(touches), refused=np.arange(touches),
     )  # fmt: skip

@@ -80,7 +80,7 @@ class SimulatedTouches:
         return "as images" if self.images else f"noise: {self.noise}"
 
     def seed_touch(self, number: int, purpose: int) -> np.random.SeedSequence:
-        """Return a seed for a touch: for the touch (purpose 0), the protocol (1), its image (2), its ambiguity (3)."""
+        """Return a seed for a touch: for the touch (purpose 0), the protocol (1), its image (2)."""
         return np.random.SeedSequence([self.seed, number, purpose])
 
     def describe(self, localizer: Localizer) -> dict[str, Any]:

@@ -43,9 +43,9 @@ def summarise_errors(errors_m: Floats, scale_m: float) -> dict[str, float]:
     return found
 
 
-def find_scale_m(table: ExampleTable, metric: str = "add") -> float:
-    """Return the mean error of a random pose of the grid, metres, by which the paper divides errors."""
-    return float(table.errors_m("random", metric).mean())
+def find_scale_m(table: ExampleTable) -> float:
+    """Return the mean ADD of a random pose of the grid, metres, by which the paper divides errors."""
+    return float(table.errors_m("random", "add").mean())
 
 
 def normalise_errors(run: ExampleTable, line: str) -> Floats:
@@ -53,17 +53,15 @@ def normalise_errors(run: ExampleTable, line: str) -> Floats:
     return run.errors_m(line, "add") / find_scale_m(run)
 
 
-def summarise_lines(
-    table: ExampleTable, lines: Sequence[str], metrics: Sequence[str] = ("add",)
-) -> list[dict[str, Any]]:
-    """Return a row of statistics for each object, encoder, line, metric and number of contacts."""
+def summarise_lines(table: ExampleTable, lines: Sequence[str]) -> list[dict[str, Any]]:
+    """Return a row of statistics of the ADD for each object, encoder, line and number of contacts."""
     rows = []
     for (name, encoder), run in table.group("object", "encoder").items():
         by_contacts = run.group("touches")
-        for line, metric, (contacts,) in itertools.product(lines, metrics, by_contacts):
+        for line, (contacts,) in itertools.product(lines, by_contacts):
             some = by_contacts[contacts,]
-            statistics = summarise_errors(some.errors_m(line, metric), find_scale_m(run, metric))
-            about = {"object": name, "encoder": encoder, "line": line, "metric": metric, "contacts": contacts}
+            statistics = summarise_errors(some.errors_m(line, "add"), find_scale_m(run))
+            about = {"object": name, "encoder": encoder, "line": line, "contacts": contacts}
             alone = some.columns.get(f"{line} alone")
             rows.append(about | statistics | {"without_common": 0 if alone is None else int(alone.sum())})
     return rows

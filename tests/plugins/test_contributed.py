@@ -102,7 +102,7 @@ def test_the_readme_of_an_annex_has_the_command_that_installs_it(name):
         "def f():\n    from tactile_loc.plugins.grids import lattice",
         "from tactile_loc import plugins",
         "importlib.import_module('tactile_loc.plugins.encoders.pixel')",
-        "from tactile_loc.core.poses.pose_errors import compute_add_s",
+        "from tactile_loc.core.poses.pose_errors import compute_adds",
         "from tactile_loc.core.sensing.scene import Scene",
     ],
 )

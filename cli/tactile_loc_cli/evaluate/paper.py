@@ -141,13 +141,13 @@ class _Plan:
 
     def locate_touches(self, localizer: Localizer) -> EvaluatedRun:
         """Locate single touches, draw their gallery, and return the results."""
-        from tactile_loc.evaluation.paper.single_touches import evaluate_touches
+        from tactile_loc.evaluation.protocol import evaluate
         from tactile_loc.evaluation.table import EvaluatedRun
         from tactile_loc.reports.evaluation_figures import draw_gallery
         from tactile_loc.view.pictures import save_figure
 
         name, encoder = localizer.object.name, localizer.config.encoder.name
-        table = evaluate_touches(localizer, self.touches, self.source)
+        table = evaluate(localizer, self.touches, self.source)
         title = f"{name} with {encoder}: best, median and worst of {self.describe(self.touches, 'touch')}"
         save_figure(self.out / _name_gallery(name, encoder), draw_gallery(localizer, table, self.source, title))
         return EvaluatedRun(table, localizer.config.resolve())

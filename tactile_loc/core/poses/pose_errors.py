@@ -210,18 +210,6 @@ def _bound_largest(waves, middle, half, enough):
     return largest
 
 
-def compute_add_s(points_m: Floats, T_estimates: Poses, T_true: Poses, every: int = 1) -> Floats:
-    """Return ADD-S (ADI) (K,), metres, of estimates (K, 4, 4) and the true pose (4, 4).
-
-    This is the mean distance from object points (P, 3) at the true pose to the nearest point at the estimate. The mean
-    is over every `every`-th point, but any point can be the nearest.
-    """
-    from scipy.spatial import cKDTree
-
-    tree, asked = cKDTree(points_m), points_m[::every]  # in the object's frame
-    return np.array([tree.query(transform_points(np.linalg.solve(T, T_true), asked))[0].mean() for T in T_estimates])
-
-
 def _measure_rms(obj: ObjectModel, T_estimates: Poses, same: Poses) -> Floats:
     """Return the root mean square surface distances (K, E), metres, between estimates (K, 4, 4) and poses (E, 4, 4)."""
     from scipy.spatial.distance import cdist

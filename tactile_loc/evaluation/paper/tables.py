@@ -4,19 +4,16 @@ The paper is Bauza et al., Tactile Object Pose Estimation from the First Touch w
 2020). PUBLISHED has its own results.
 """
 
-import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.metrics import LEVELS
-from tactile_loc.evaluation.paper.ambiguity import AMBIGUOUS
 from tactile_loc.evaluation.paper.fusion import FUSED_LINES, FUSION_LINES, FUSION_VERSION
-from tactile_loc.evaluation.paper.single_touches import METRICS
 from tactile_loc.evaluation.protocol import LINES, PROTOCOL_VERSION, STAGES
-from tactile_loc.evaluation.summary import find_median, find_scale_m, measure_coverage, summarise_lines
+from tactile_loc.evaluation.summary import find_scale_m, measure_coverage, summarise_lines
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
 from tactile_loc.evaluation.text_tables import (
     EvaluationResults,
@@ -24,13 +21,12 @@ from tactile_loc.evaluation.text_tables import (
     Row,
     Table,
     build_document,
-    format_length,
     format_share,
     pivot,
     tabulate,
 )
 
-TOUCH_SCHEMA, CONTACTS_SCHEMA, PAPER_SCHEMA = 3, 2, 1
+TOUCH_SCHEMA, CONTACTS_SCHEMA, PAPER_SCHEMA = 4, 3, 2
 PUBLISHED: Mapping[str, Mapping[str, float]] = {  # the paper's normalised medians, by demo object and line
     "pin": {"best-1": 0.11},
     "damping_pin": {"best-1": 0.16},
@@ -39,21 +35,8 @@ PUBLISHED: Mapping[str, Mapping[str, float]] = {  # the paper's normalised media
 }
 PAPER_LINES = ("best-1", "reg-1", "best-10", "reg-10", "best-50", "closest", "random")
 SHOWN = tuple(line for line in LINES if line != "random-10")  # the lines in the summary
-JUDGED = ("best-1", "reg-1", "chosen")  # tabulated separately for unambiguous touches
-AREAS = (0.0, 0.01, 0.02, 0.05, 0.15, 1.0)  # limits of contact areas, as shares of the observed pixels
-AREA_LINE, WITHIN_M = "chosen", 1e-3  # the line and the limit of error that are tabulated by contact area
 SHARE_TITLE = "median ADD divided by the mean ADD of random poses"
 SHARE_NOTE = "divided by the mean error of a random pose. Symmetric poses count as equal."
-AREA_NOTE = (
-    "By contact area, the share of the sensor in contact: the median ADD of `chosen` in mm, the share of touches "
-    "within 1 mm, and in brackets the number of touches. Refused presses show no touch: less contact than the grid "
-    "needs, or only a flat face. They do not count elsewhere:"
-)
-AMBIGUITY_NOTE = (
-    "A touch is ambiguous if a pose more than 5 mm away makes the same contact, within the noise (that of the touches, "
-    "or mild for clean ones). Median ADD in mm over all touches, and over the unambiguous ones, which are the measure "
-    "of a method:"
-)
 COVERAGE_NOTE = (
     "Coverage: the share of true poses in the smallest sets of poses that hold 50, 80 and 95 % of the probability. "
     "NLL: the mean negative log-likelihood of the grid pose nearest to the truth, beside that of a uniform posterior. "
@@ -73,14 +56,13 @@ BY_CONTACTS = "The same by number of contacts:"
 
 
 def summarise_touches(table: ExampleTable) -> list[Row]:
-    """Return a row for each object and encoder: ambiguity, contact areas, median times, and means of the posteriors.
+    """Return a row for each object and encoder: median times, and means of the posteriors.
 
     `coverage` has, for each of LEVELS, the share of touches whose true pose is in the credible set of this level.
     `uniform_nll_nats` is the negative log-likelihood of a uniform posterior.
     """
     rows = []
     for (name, encoder), run in table.group("object", "encoder").items():
-        ambiguous = run["ambiguity"] < AMBIGUOUS
         means = ("nll_nats", "entropy_nats", "expected_error_m", "spread_m")
         rows.append(
             {
@@ -88,11 +70,8 @@ def summarise_touches(table: ExampleTable) -> list[Row]:
                 "encoder": encoder,
                 "touches": len(run),
                 "refused": run.count_refused(),
-                "random_mean_m": {metric: find_scale_m(run, metric) for metric in METRICS},
+                "random_mean_m": find_scale_m(run),
                 "median_seconds": {stage: float(np.median(run[f"{stage}_s"])) for stage in STAGES},
-                "ambiguous": float(ambiguous.mean()),
-                "unambiguous_median_m": {line: find_median(run.errors_m(line, "add")[~ambiguous]) for line in JUDGED},
-                "contact_areas": list(_group_areas(run)),
                 "levels": list(LEVELS),
                 "coverage": measure_coverage(run),
                 "uniform_nll_nats": float(np.log(run["grid_poses"][0])),
@@ -100,15 +79,6 @@ def summarise_touches(table: ExampleTable) -> list[Row]:
             }
         )
     return rows
-
-
-def _group_areas(run: ExampleTable) -> Iterator[Row]:
-    """Yield, for each of AREAS, the number of touches and the errors of AREA_LINE, metres, None without touches."""
-    errors, share = run.errors_m(AREA_LINE, "add"), run["contact_share"]
-    for low, high in itertools.pairwise(AREAS):
-        some = errors[(share >= low) & ((share < high) | (high == AREAS[-1]))]
-        within = float((some < WITHIN_M).mean()) if len(some) else None
-        yield {"from": low, "to": high, "touches": len(some), "median_m": find_median(some), "within_1_mm": within}
 
 
 # ---- from one touch
@@ -133,55 +103,10 @@ def _name_run(row: Row) -> dict[str, str]:
     return {name: row[name] for name in ("object", "encoder")}
 
 
-def _find_medians(lines: Sequence[Row], metric: str = "add") -> dict[tuple[str, str, str], str]:
-    """Return the median errors of a metric, in mm, by object, encoder and line, from `summarise_lines`."""
-    return {
-        (row["object"], row["encoder"], row["line"]): format_median(row) for row in lines if row["metric"] == metric
-    }
-
-
 def tabulate_medians(rows: Sequence[Row], cell: Callable[[Row], str] = format_both) -> Table:
     """Return a row for each object and encoder, from `summarise_lines`: the `cell` of each line of SHOWN."""
-    shown = [row for row in rows if row["line"] in SHOWN and row["metric"] == "add"]
+    shown = [row for row in rows if row["line"] in SHOWN]
     return pivot(shown, ("object", "encoder"), "line", cell)
-
-
-def tabulate_ambiguity(rows: Sequence[Row], lines: Sequence[Row]) -> Table:
-    """Return a row for each row of `summarise_touches`: the share of ambiguous touches, and median errors in mm.
-
-    The medians are over all touches, from `summarise_lines`, and over the unambiguous touches.
-    """
-    medians, found = _find_medians(lines), []
-    for row in rows:
-        cells = {**_name_run(row), "ambiguous": format_share(row["ambiguous"])}
-        for line in JUDGED:
-            cells[f"{line}, all"] = medians[row["object"], row["encoder"], line]
-            cells[f"{line}, unambiguous"] = format_length(row["unambiguous_median_m"][line])
-        found.append(cells)
-    return tabulate(found)
-
-
-def tabulate_areas(rows: Sequence[Row]) -> Table:
-    """Return a row for each row of `summarise_touches`: the number of refused presses, and a cell for each area.
-
-    A cell has the median error in mm, the share of touches within WITHIN_M, and in brackets the number of touches.
-    """
-    limits = [f"{100 * share:g}" for share in AREAS]
-    between = [f"{low} to {high} %" for low, high in itertools.pairwise(limits[1:-1])]
-    heads = [f"below {limits[1]} %", *between, f"above {limits[-2]} %"]
-    return tabulate(
-        {
-            **_name_run(row),
-            "refused": str(row["refused"]),
-            **{head: _format_area(area) for head, area in zip(heads, row["contact_areas"], strict=True)},
-        }
-        for row in rows
-    )
-
-
-def _format_area(area: Row) -> str:
-    shown = f"{format_length(area['median_m'])}, {format_share(area['within_1_mm'])} ({area['touches']})"
-    return shown if area["touches"] else "-"
 
 
 def tabulate_posteriors(rows: Sequence[Row]) -> Table:
@@ -223,11 +148,11 @@ def _list_shares(row: Row, names: Sequence[str] = ("median", "mean")) -> dict[st
 def _list_details(
     table: ExampleTable, rows: Sequence[Row], cells: Callable[[Row], Row], describe: Callable[[ExampleTable], str]
 ) -> list[str | Table]:
-    """Return a heading, a description, and a table of the `cells` of all rows for ADD, for each object and encoder."""
+    """Return a heading, a description, and a table of the `cells` of all rows, for each object and encoder."""
     parts: list[str | Table] = []
     for (name, encoder), run in table.group("object", "encoder").items():
         about = f"{run['grid_poses'][0]} grid poses, symmetry {run['symmetry'][0]}; {describe(run)}"
-        own = [row for row in rows if (row["object"], row["encoder"], row["metric"]) == (name, encoder, "add")]
+        own = [row for row in rows if (row["object"], row["encoder"]) == (name, encoder)]
         parts += [f"## {name}, {encoder}", about, tabulate(map(cells, own))]
     return parts
 
@@ -235,7 +160,7 @@ def _list_details(
 def collect_touches(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], heading: str) -> EvaluationResults:
     """Return all results from one touch, called "results"; `protocol` states the touches, noise and seed."""
     table = join_runs(runs)
-    lines, touches = summarise_lines(table, LINES, METRICS), summarise_touches(table)
+    lines, touches = summarise_lines(table, LINES), summarise_touches(table)
     document = build_document(
         TOUCH_SCHEMA,
         protocol={"version": PROTOCOL_VERSION, **protocol},
@@ -246,26 +171,20 @@ def collect_touches(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], h
     tables = [
         NotedTable("", f"Median ADD in mm and, in brackets, {SHARE_NOTE}", tabulate_medians(lines)),
         NotedTable("median ADD, mm", "", tabulate_medians(lines, format_median)),
-        NotedTable("", AMBIGUITY_NOTE, tabulate_ambiguity(touches, lines)),
-        NotedTable("", AREA_NOTE, tabulate_areas(touches)),
         NotedTable("", "Median time of each stage, ms:", tabulate_times(touches)),
         NotedTable("", COVERAGE_NOTE, tabulate_posteriors(touches)),
     ]
-    others = {f"median {metric.upper()}": _find_medians(lines, metric) for metric in ("mssd", "add-s")}
 
     def list_cells(row: Row) -> Row:
-        name = row["object"], row["encoder"], row["line"]
-        shares = {"90 %": format_mm(row["p90_m"]), **_list_shares(row)}
-        return {"line": row["line"], **_list_lengths(row), **shares, **{head: of[name] for head, of in others.items()}}
+        return {"line": row["line"], **_list_lengths(row), "90 %": format_mm(row["p90_m"]), **_list_shares(row)}
 
-    details = _list_details(table, lines, list_cells, lambda _: "ADD, mm:")
-    return EvaluationResults(
-        "results", heading, document, _leave_out(lines, "contacts", "without_common"), tables, details
-    )
+    details = _list_details(table, lines, list_cells, lambda run: f"{_describe_refused(run)}; ADD, mm:")
+    rows = [{name: row[name] for name in row if name not in ("contacts", "without_common")} for row in lines]
+    return EvaluationResults("results", heading, document, rows, tables, details)
 
 
-def _leave_out(rows: Sequence[Row], *names: str) -> list[Row]:
-    return [{name: value for name, value in row.items() if name not in names} for row in rows]
+def _describe_refused(run: ExampleTable) -> str:
+    return f"{run.count_refused()} presses without a touch were refused"
 
 
 # ---- by number of contacts
@@ -302,10 +221,10 @@ def collect_contacts(runs: Sequence[EvaluatedRun], protocol: Mapping[str, Any], 
 
     def describe(run: ExampleTable) -> str:
         random = f"mean error of a random pose {format_mm(find_scale_m(run))} mm"
-        return f"{random}; {run.count_refused()} presses without a touch were refused"
+        return f"{random}; {_describe_refused(run)}"
 
     details = _list_details(table, rows, list_cells, describe)
-    return EvaluationResults("contacts", heading, document, _leave_out(rows, "metric"), tables, details)
+    return EvaluationResults("contacts", heading, document, rows, tables, details)
 
 
 # ---- beside the paper
@@ -334,7 +253,7 @@ def collect_paper(
         NotedTable(f"{SHARE_TITLE}, from one touch", BY_LINE, tabulate_published(single)),
         NotedTable(f"{SHARE_TITLE}, by number of contacts", BY_CONTACTS, shares),
     ]
-    return EvaluationResults("paper", heading, document, _leave_out(rows, "metric"), tables)
+    return EvaluationResults("paper", heading, document, rows, tables)
 
 
 def _find_published(run: EvaluatedRun) -> Mapping[str, float]:

@@ -12,7 +12,6 @@ from report_helpers import CONTACTS, make_contact_table, make_touch_table
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.evaluation.paper import tables as paper_tables
 from tactile_loc.evaluation.paper.fusion import FUSED_LINES, FUSION_LINES
-from tactile_loc.evaluation.paper.single_touches import METRICS
 from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.evaluation.summary import summarise_lines
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable
@@ -45,29 +44,29 @@ def first_row(table: list[list[str]]) -> dict[str, str]:
 
 def test_csv_json_and_markdown_agree(runs, written, document):
     rows = list(csv.DictReader(io.StringIO(written[".csv"])))
-    assert len(rows) == len(runs) * len(LINES) * len(METRICS) == len(document["summary"])
+    assert len(rows) == len(runs) * len(LINES) == len(document["summary"])
     sections = {part.split("\n")[0]: part for part in written[".md"].split("\n## ")[1:]}
     for row, entry in zip(rows, document["summary"], strict=True):
-        assert [row[name] for name in ("object", "encoder", "line", "metric")] == list(entry.values())[:4]
+        assert [row[name] for name in ("object", "encoder", "line")] == list(entry.values())[:3]
         for statistic in ("mean", "median", "std", "q25", "q75", "p90"):
             assert float(row[f"{statistic}_mm"]) == pytest.approx(1e3 * entry[f"{statistic}_m"], rel=1e-5)
             assert float(row[f"{statistic}_normalised"]) == pytest.approx(entry[f"{statistic}_normalised"], rel=1e-5)
-        if row["metric"] == "add":
-            section = sections[f"{row['object']}, {row['encoder']}"]
-            (line,) = [text for text in section.splitlines() if text.startswith(f"| {row['line']} |")]
-            cells = [cell.strip() for cell in line.split("|")[1:-1]]
-            assert cells[1] == format_mm(1e-3 * float(row["median_mm"]))
-            assert cells[2] == format_mm(1e-3 * float(row["mean_mm"]))
-            assert cells[6] == f"{float(row['median_normalised']):.3f}"
+        section = sections[f"{row['object']}, {row['encoder']}"]
+        (line,) = [text for text in section.splitlines() if text.startswith(f"| {row['line']} |")]
+        cells = [cell.strip() for cell in line.split("|")[1:-1]]
+        assert cells[1] == format_mm(1e-3 * float(row["median_mm"]))
+        assert cells[2] == format_mm(1e-3 * float(row["mean_mm"]))
+        assert cells[6] == f"{float(row['median_normalised']):.3f}"
+        assert "66 presses" in section
 
 
 def test_statistics_equal_those_of_the_touches(runs, document):
     read = ExampleTable.read(document["examples"]).group("object", "encoder")["pin", "pixel"]
-    for row in document["summary"][: len(LINES) * len(METRICS)]:
-        errors_m = runs[0].table.errors_m(row["line"], row["metric"])
-        assert (read.errors_m(row["line"], row["metric"]) == errors_m).all()
+    for row in document["summary"][: len(LINES)]:
+        errors_m = runs[0].table.errors_m(row["line"], "add")
+        assert (read.errors_m(row["line"], "add") == errors_m).all()
         assert row["median_m"] == pytest.approx(np.median(errors_m))
-        scale_m = document["runs"][0]["random_mean_m"][row["metric"]]
+        scale_m = document["runs"][0]["random_mean_m"]
         assert row["p90_normalised"] == pytest.approx(np.quantile(errors_m, 0.9) / scale_m)
         if row["line"] == "random":
             assert row["mean_normalised"] == pytest.approx(1)
@@ -81,44 +80,6 @@ def test_posterior_metrics_agree_in_table_and_json(runs, written, document):
     assert row["spread, mm"] == format_mm(runs[0].table["spread_m"].mean())
     assert row["uniform"] == f"{np.log(500):.2f}"
     assert " | ".join(row.values()) in written[".md"]
-
-
-def test_ambiguous_touches_are_counted_and_left_out(runs, written, document):
-    table, found = runs[0].table, document["runs"][0]
-    clear = table.errors_m("chosen", "add")[table["ambiguity"] >= 1]
-    assert 0 < len(clear) < len(table)
-    assert found["ambiguous"] == pytest.approx(1 - len(clear) / len(table))
-    assert found["unambiguous_median_m"]["chosen"] == np.median(clear)
-    row = first_row(paper_tables.tabulate_ambiguity(document["runs"], document["summary"]))
-    assert row["ambiguous"] == f"{100 * found['ambiguous']:.0f} %"
-    assert row["chosen, all"] == format_mm(np.median(table.errors_m("chosen", "add")))
-    assert row["chosen, unambiguous"] == format_mm(np.median(clear))
-    assert " | ".join(row.values()) in written[".md"]
-
-
-def test_errors_are_grouped_by_contact_area(runs, written, document):
-    shares, errors_m = runs[0].table["contact_share"], runs[0].table.errors_m("chosen", "add")
-    areas = document["runs"][0]["contact_areas"]
-    assert sum(area["touches"] for area in areas) == len(shares)
-    some = errors_m[(shares >= 0.05) & (shares < 0.15)]
-    measured = {"touches": len(some), "median_m": np.median(some), "within_1_mm": (some < 1e-3).mean()}
-    assert areas[3] == {"from": 0.05, "to": 0.15, **measured}
-    row = first_row(paper_tables.tabulate_areas(document["runs"]))
-    assert row["5 to 15 %"] == f"{format_mm(np.median(some))}, {100 * (some < 1e-3).mean():.0f} % ({len(some)})"
-    assert row["refused"] == "66"
-    assert " | ".join(row.values()) in written[".md"]
-
-
-def test_empty_groups_show_a_dash_and_json_has_no_infinity():
-    table = make_touch_table("pin", "pixel", 0)
-    for ratio, shown in ((0.0, "-"), (np.inf, format_mm(np.median(table.errors_m("chosen", "add"))))):
-        one = EvaluatedRun(ExampleTable.make(table.columns, ambiguity=ratio, contact_share=1.0))
-        found = json.loads(json.dumps(paper_tables.collect_touches([one], PROTOCOL, "").document, allow_nan=False))
-        assert paper_tables.tabulate_ambiguity(found["runs"], found["summary"])[1][-1] == shown
-        assert (found["runs"][0]["unambiguous_median_m"]["chosen"] is None) == (ratio == 0)
-        *others, last = paper_tables.tabulate_areas(found["runs"])[1][3:]
-        assert set(others) == {"-"}
-        assert last.endswith("(12)")
 
 
 # ---- by number of contacts
