@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_helpers import TINY, assert_refused, succeed
-from PIL import Image
 from tactile_loc_cli.evaluate.jobs import Asked, choose_options
 
 from tactile_loc.core.geometry.rigid import rotation_to_quaternion
@@ -17,11 +16,10 @@ from tactile_loc.slots.registry import Registry
 
 SEARCH = ["-o", "grid.directions=300", "-o", "temperature=0.05"]
 OWN = ["--object", "pin", *TINY, "--refiner", "none"]
-FILES = {"recall.json", "recall.csv", "recall.md", "recall.png", "bop"}
+FILES = {"recall.json", "recall.csv", "recall.md", "bop"}
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("drawn_pictures")
 def test_results_of_noises_and_numbers_of_touches_are_written(cli, tmp_path):
     words = ["--object", "hook", "--count", 2, "--together", "1..2", "--noise", "none", "--noise", "mild"]
     done = succeed(cli("evaluate", *words, "--seed", 2, "--seed", 3, *SEARCH))
@@ -36,8 +34,6 @@ def test_results_of_noises_and_numbers_of_touches_are_written(cli, tmp_path):
         rows = list(csv.DictReader(file))
     groups = [("none", "1", "4"), ("none", "2", "4"), ("mild", "1", "4"), ("mild", "2", "4")]
     assert [(row["noise"], row["touches"], row["examples"]) for row in rows] == groups
-    with Image.open(out / "recall.png") as picture:
-        assert min(picture.size) > 300
     assert len(list((out / "bop").glob("*.csv"))) == 2
     assert "recall.json" in done.stdout
     assert cli("report", "evaluation").exit_code == 0

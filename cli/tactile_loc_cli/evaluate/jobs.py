@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,8 +17,6 @@ from tactile_loc_cli.console import say, say_table, say_written
 from tactile_loc_cli.options import Noise, RunOptions, declare
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from tactile_loc.core.objects.mesh import ObjectModel
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.evaluation.text_tables import EvaluationResults
@@ -74,7 +72,7 @@ class Asked:
         declare("--images", "Simulate images of the touches, for a sensor that was calibrated on simulated images."),
     ] = False
     encoder: Annotated[list[str] | None, declare("--encoder NAME", "Encoder; may be repeated. Default: pixel.")] = None
-    out: Annotated[Path, declare("--out FOLDER", "Folder of the results and pictures.")] = Path("evaluation")
+    out: Annotated[Path, declare("--out FOLDER", "Folder of the results.")] = Path("evaluation")
     store: options.Store = None
 
     def __post_init__(self) -> None:
@@ -183,13 +181,6 @@ def _require_names(jobs: Sequence[Job]) -> None:
             raise ConfigError(
                 f"{other} and {settings.object.path} are both called {obj.name}; rename one, or run them separately"
             )
-
-
-def write_results(out: Path, found: EvaluationResults, figures: Mapping[str, Figure]) -> list[Path]:
-    """Write the files of an evaluation, and its figures as NAME.png. Return the paths. Raises OutputError."""
-    from tactile_loc.view.pictures import save_figure
-
-    return [*found.write(out), *(save_figure(out / f"{name}.png", figure) for name, figure in figures.items())]
 
 
 def say_results(found: EvaluationResults, left: int, name_encoders: bool = True) -> None:

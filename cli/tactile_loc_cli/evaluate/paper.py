@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,18 +12,12 @@ from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.store.files import require_writable, shorten_name
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say
-from tactile_loc_cli.evaluate.jobs import (
-    COMPARED,
-    Asked,
-    list_jobs,
-    read_setting,
-    say_results,
-    summarise_results,
-    write_results,
-)
+from tactile_loc_cli.evaluate.jobs import COMPARED, Asked, list_jobs, read_setting, say_results, summarise_results
 from tactile_loc_cli.options import RunOptions, declare
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.evaluation.table import EvaluatedRun
     from tactile_loc.evaluation.text_tables import EvaluationResults
@@ -143,7 +137,7 @@ class _Plan:
         """Locate single touches, draw their gallery, and return the results."""
         from tactile_loc.evaluation.protocol import evaluate
         from tactile_loc.evaluation.table import EvaluatedRun
-        from tactile_loc.reports.evaluation_figures import draw_gallery
+        from tactile_loc.reports.paper_figures import draw_gallery
         from tactile_loc.view.pictures import save_figure
 
         name, encoder = localizer.object.name, localizer.config.encoder.name
@@ -173,7 +167,7 @@ def _report_touches(plan: _Plan, runs: Sequence[EvaluatedRun]) -> list[Path]:
     """Write the results from one touch and their pictures, show the medians in mm, and return the paths."""
     from tactile_loc.evaluation.paper.tables import collect_touches
     from tactile_loc.evaluation.table import join_runs
-    from tactile_loc.reports.evaluation_figures import draw_reliability, draw_violins
+    from tactile_loc.reports.paper_figures import draw_reliability, draw_violins
 
     counted = plan.describe(plan.touches, "touch")
     heading = f"Localisation from one touch: {counted} for each object, seed {plan.source.seed}"
@@ -182,20 +176,27 @@ def _report_touches(plan: _Plan, runs: Sequence[EvaluatedRun]) -> list[Path]:
     figures = {"violins": draw_violins(table, heading), "reliability": draw_reliability(table, heading)}
     say_results(found, left=2)
     galleries = [plan.out / _name_gallery(*names) for names in table.group("object", "encoder")]
-    return [*write_results(plan.out, found, figures), *galleries]
+    return [*_write_results(plan.out, found, figures), *galleries]
 
 
 def _report_contacts(plan: _Plan, runs: Sequence[EvaluatedRun]) -> list[Path]:
     """Write the results by number of contacts and their picture, and return the paths."""
     from tactile_loc.evaluation.paper.tables import collect_contacts
     from tactile_loc.evaluation.table import join_runs
-    from tactile_loc.reports.evaluation_figures import draw_contacts
+    from tactile_loc.reports.paper_figures import draw_contacts
 
     counted = plan.describe(plan.examples, "example")
     heading = f"Localisation from several contacts: {counted} for each object, seed {plan.source.seed}"
     found = collect_contacts(runs, {"examples": plan.examples, **dataclasses.asdict(plan.source)}, heading)
     _say_left_out(found)
-    return write_results(plan.out, found, {"contacts": draw_contacts(join_runs(runs), heading)})
+    return _write_results(plan.out, found, {"contacts": draw_contacts(join_runs(runs), heading)})
+
+
+def _write_results(out: Path, found: EvaluationResults, figures: Mapping[str, Figure]) -> list[Path]:
+    """Write the files of an evaluation, and its figures as NAME.png. Return the paths. Raises OutputError."""
+    from tactile_loc.view.pictures import save_figure
+
+    return [*found.write(out), *(save_figure(out / f"{name}.png", figure) for name, figure in figures.items())]
 
 
 def _say_left_out(found: EvaluationResults) -> None:

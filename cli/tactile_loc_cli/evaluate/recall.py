@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc_cli import options
 from tactile_loc_cli.console import format_count, say, say_reasons
-from tactile_loc_cli.evaluate.jobs import (
-    Asked,
-    Job,
-    list_jobs,
-    read_setting,
-    say_results,
-    summarise_results,
-    write_results,
-)
+from tactile_loc_cli.evaluate.jobs import Asked, Job, list_jobs, read_setting, say_results, summarise_results
 from tactile_loc_cli.options import RunOptions
 
 if TYPE_CHECKING:
@@ -112,17 +104,15 @@ def _require_located(table: ExampleTable) -> None:
 
 
 def _report(runs: Sequence[EvaluatedRun], about: dict[str, Any], asked: Asked) -> dict[str, Any]:
-    """Write the results and their pictures, print the tables, and return the results as JSON values."""
+    """Write the results, print the tables, and return the results as JSON values."""
     from tactile_loc.evaluation.recall.bop import make_scenes, write_bop
     from tactile_loc.evaluation.recall.tables import collect_answers
     from tactile_loc.evaluation.table import join_runs
-    from tactile_loc.reports.evaluation_figures import draw_recall
 
     table, heading = join_runs(runs), _write_heading(about)
     _require_located(table)
     found = collect_answers(runs, about, heading)
-    written = write_results(asked.out, found, {found.name: draw_recall(table, heading)})
-    written += write_bop(asked.out, make_scenes(table))
+    written = [*found.write(asked.out), *write_bop(asked.out, make_scenes(table))]
     say_results(found, left=2, name_encoders=False)
     _say_left_out(table)
     return summarise_results(found, written)

@@ -1,23 +1,15 @@
-"""Figures of evaluations."""
+"""Figures of the paper's protocol."""
 
 import numpy as np
 import pytest
-from report_helpers import CONTACTS, make_contact_table, make_recall_runs, make_touch_table
+from report_helpers import CONTACTS, make_contact_table, make_touch_table
 
 from tactile_loc.evaluation.paper.fusion import FUSED_LINES
 from tactile_loc.evaluation.protocol import LINES, evaluate
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.evaluation.summary import summarise_lines
-from tactile_loc.evaluation.table import ExampleTable, join_runs
-from tactile_loc.reports.evaluation_figures import (
-    DRAWN,
-    FLOOR,
-    draw_contacts,
-    draw_gallery,
-    draw_recall,
-    draw_reliability,
-    draw_violins,
-)
+from tactile_loc.evaluation.table import ExampleTable
+from tactile_loc.reports.paper_figures import DRAWN, FLOOR, draw_contacts, draw_gallery, draw_reliability, draw_violins
 from tactile_loc.view.pictures import save_figure
 
 pytestmark = pytest.mark.usefixtures("arranged_pictures")
@@ -108,15 +100,3 @@ def test_each_object_has_a_panel_with_medians_and_quartiles():
         assert "mm" in axes.get_title()
     assert "ADD" in panels(figure)[0].get_ylabel()
     assert figure._suptitle.get_text() == "the title"
-
-
-def test_the_figure_has_two_curves_for_each_number_of_touches_and_noise():
-    recall, reliability = draw_recall(join_runs(make_recall_runs()), "title").axes
-    assert len([line for line in recall.lines if len(line.get_xdata()) > 2]) == 2 * 4
-    assert [text.get_text() for text in recall.figure.legends[0].texts][:2] == [
-        "1 touch, no noise",
-        "3 touches, no noise",
-    ]
-    heights = [line.get_ydata() for line in recall.lines if len(line.get_xdata()) > 2]
-    assert all((np.diff(y) >= 0).all() for y in heights)
-    assert reliability.get_xlim() == (0, 100)

@@ -1,4 +1,4 @@
-"""Figures of evaluations: errors as violins, galleries, credible sets, errors by number of touches, and recall."""
+"""Figures of the paper's protocol: errors as violins, galleries, credible sets, and errors by number of contacts."""
 
 from __future__ import annotations
 
@@ -13,17 +13,8 @@ from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.formatting import format_millimetres
 from tactile_loc.evaluation.metrics import LEVELS
 from tactile_loc.evaluation.protocol import LINES
-from tactile_loc.evaluation.recall.tables import name_noise
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
-from tactile_loc.evaluation.summary import (
-    WITHIN_M,
-    bin_probabilities,
-    find_scale_m,
-    measure_coverage,
-    measure_recall,
-    normalise_errors,
-    summarise_lines,
-)
+from tactile_loc.evaluation.summary import find_scale_m, measure_coverage, normalise_errors, summarise_lines
 from tactile_loc.evaluation.table import ExampleTable
 from tactile_loc.io.shape_pictures import OUTLINE
 from tactile_loc.locate.localizer import Localizer
@@ -46,10 +37,6 @@ LEAST_MM = 1e-2  # smaller errors are drawn at this value, since the axis is log
 FUSION_FLOOR = 1e-3  # the same as FLOOR, for several touches
 KINEMATIC = "#718096"
 TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
-SHORTEST_MM, LONGEST_MM = 0.02, 50.0  # range of the thresholds
-TICKS_MM = (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)
-DASHES = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (5, 2, 1, 2)))
-FEW = 5  # bins with fewer examples are not drawn
 
 
 def draw_violins(table: ExampleTable, title: str) -> Figure:
@@ -272,69 +259,3 @@ def _draw_line(axes: Axes, run: ExampleTable, line: str, label: str, **style: An
     low, median, high = np.maximum(found, FUSION_FLOOR).T
     axes.fill_between(contacts, low, high, color=style["color"], alpha=0.2, lw=0)
     axes.plot(contacts, median, ms=5, lw=1.8, label=f"{label}: median, quartiles", **style)
-
-
-def draw_recall(table: ExampleTable, title: str) -> Figure:
-    """Draw the recall of the first pose against the threshold, and the reliability of its probability, in two panels.
-
-    The panels show all objects together. The colour is the number of touches, the line style the noise. A thin line is
-    the recall of any listed pose. Bins with fewer than FEW examples are left out.
-    """
-    groups = table.group("encoder", "noise", "touches")
-    figure = make_figure(11.5, 5.6, constrained=True, title=title)
-    recall, reliability = figure.subplots(1, 2, width_ratios=[1.25, 1])
-    colours = dict(zip(dict.fromkeys(touches for *_, touches in groups), itertools.cycle(COLOURS), strict=False))
-    styles = dict(
-        zip(dict.fromkeys((encoder, noise) for encoder, noise, _ in groups), itertools.cycle(DASHES), strict=False)
-    )
-    for (encoder, noise, touches), some in groups.items():
-        label = f"{'1 touch' if touches == 1 else f'{touches} touches'}, {name_noise(noise)}"
-        _draw_curves(recall, some, label, color=colours[touches], ls=styles[encoder, noise])
-    for number, (touches, colour) in enumerate(colours.items()):
-        _draw_reliability(reliability, table.select(table["touches"] == touches), colour, -10 * (number + 1))
-    _label_recall(recall)
-    _label_reliability(reliability)
-    handles, labels = recall.get_legend_handles_labels()
-    columns = min(4, max(2, len(styles)))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
-    return figure
-
-
-def _draw_curves(axes: Axes, table: ExampleTable, label: str, **style: Any) -> None:
-    thresholds_mm = np.geomspace(SHORTEST_MM, LONGEST_MM, 400)
-    first, listed = (100 * measure_recall(table, 1e-3 * thresholds_mm, line) for line in ("first", "listed"))
-    axes.plot(thresholds_mm, listed, lw=0.8, alpha=0.8, **style)
-    axes.plot(thresholds_mm, first, lw=2, label=label, **style)
-
-
-def _draw_reliability(axes: Axes, table: ExampleTable, colour: str, below: int) -> None:
-    """Draw the reliability, with the number of examples of each bin `below` its dot, in points."""
-    bins = [b for b in bin_probabilities(table) if b.examples >= FEW]
-    if not bins:
-        return
-    stated, right = (100 * np.array([getattr(b, name) for b in bins], float) for name in ("stated", "right"))
-    axes.plot(stated, right, "o-", color=colour, lw=1.4, ms=6, clip_on=False, zorder=3)
-    for b, x, y in zip(bins, stated, right, strict=True):
-        axes.annotate(str(b.examples), (x, y), (5, below), textcoords="offset points", size=8, color=colour)
-
-
-def _label_recall(axes: Axes) -> None:
-    axes.set_xscale("log")
-    axes.set_xticks(TICKS_MM, [f"{tick:g}" for tick in TICKS_MM], size=9)
-    axes.minorticks_off()
-    axes.set(xlim=(SHORTEST_MM, LONGEST_MM), ylim=(0, 101))
-    for within_m in WITHIN_M:
-        axes.axvline(1e3 * within_m, color="#a0aec0", lw=1, ls=(0, (2, 2)), zorder=0)
-    axes.set_xlabel("pose error (mm)")
-    axes.set_ylabel("examples within the pose error (%)")
-    axes.set_title("Recall: thick = first pose, thin = any listed pose", size=10)
-    draw_grid(axes)
-
-
-def _label_reliability(axes: Axes) -> None:
-    axes.plot([0, 100], [0, 100], color="#1a202c", lw=1, ls=(0, (5, 3)))
-    axes.set(xlim=(0, 100), ylim=(0, 100), aspect="equal")
-    axes.set_xlabel("stated probability of the first pose (%)")
-    axes.set_ylabel("first poses within 1 mm (%)")
-    axes.set_title("Reliability; numbers of examples beside the dots", size=10)
-    draw_grid(axes)
