@@ -1,13 +1,10 @@
-"""Pictures of a page as data URIs: contact shapes, their differences, photos, and the pictures of an evaluation."""
+"""Pictures of a page as data URIs: contact shapes, their differences, and photos."""
 
 from __future__ import annotations
 
 import base64
 import io
-import logging
-import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,19 +13,15 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Bools
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.io.images import UNREADABLE, load_image
 from tactile_loc.view.drawn_scene import trace_outlines_m
 from tactile_loc.view.pictures import compute_extent_mm
 from tactile_loc.view.pose_panel import list_round_values
-
-log = logging.getLogger(__name__)
 
 DEPTHS, DIFFERENCES = "viridis", "RdBu_r"
 EMPTY, UNSEEN, FIRST = 0, 1, 2  # indices in the palette: transparent, dim, and the first colour
 UNSEEN_RGBA = (128, 136, 148, 90)
 MOST_APART = 0.25  # end of the colour scale for differences, as a share of the press depth
 EQUAL = 0.04  # smaller differences, as a share of MOST_APART, are transparent
-WIDEST_PX, COLOURS = 1400, 255  # largest width and number of colours of an evaluation's picture
 
 
 @dataclass(frozen=True)
@@ -104,31 +97,12 @@ def encode_photo(image: NDArray[np.uint8]) -> str:
     return _encode_image(Image.fromarray(image))
 
 
-def encode_gallery(path: Path) -> str | None:
-    """Return a picture file as a data URI, at most `WIDEST_PX` pixels wide and with at most `COLOURS` colours.
-
-    Returns None if the file does not exist. Logs a warning and returns None if the file cannot be read.
-    """
-    if not path.is_file():
-        return None
-    from PIL import Image
-
-    try:
-        small = Image.fromarray(load_image(path, "RGB")[1])
-    except UNREADABLE:
-        log.warning("%s cannot be read as a picture; the report leaves it out", path)
-        return None
-    if small.width > WIDEST_PX:
-        small = small.resize((WIDEST_PX, math.ceil(small.height * WIDEST_PX / small.width)), Image.Resampling.LANCZOS)
-    return _encode_image(small.quantize(COLOURS))
-
-
-def write_gradient(name: str, steps: int = 9) -> str:
+def write_gradient(name: str) -> str:
     """Return a colour scale as a CSS gradient, with low values on the left."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    return f"linear-gradient(to right, {', '.join(to_hex(c) for c in colormaps[name](np.linspace(0, 1, steps)))})"
+    return f"linear-gradient(to right, {', '.join(to_hex(c) for c in colormaps[name](np.linspace(0, 1, 9)))})"
 
 
 def _encode_shares(share: NDArray[np.floating], shown: Bools, observed: Bools, colours: str) -> str:

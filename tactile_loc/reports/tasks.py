@@ -1,8 +1,7 @@
-"""Reports without plots: an identification, a next touch, a mount, a sensor's checks, and touches of a folder."""
+"""Reports without plots: an identification, the touches of a folder, and a sensor's checks."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -10,15 +9,13 @@ from tactile_loc.core.geometry.rigid import format_pose
 from tactile_loc.core.runtime.formatting import format_mm, format_percent
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.sensor_damage import PART, TOUCHES, Damage
-from tactile_loc.io.mount_files import HandEyeRecord, HandEyeTouchRecord
 from tactile_loc.locate.identify import Identification, KnownObject
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import explain_verdict, name_verdict
 from tactile_loc.locate.touch_files import LocatedFile
 from tactile_loc.planning.identification_files import NONE_OF_THESE, describe_identification
-from tactile_loc.planning.next_touch import NextTouch, RatedApproach
 from tactile_loc.reports.page import Page, Section
-from tactile_loc.reports.pictures import draw_shape, encode_gallery, encode_photo
+from tactile_loc.reports.pictures import draw_shape, encode_photo
 from tactile_loc.sensors.reading.passport import Examination, SensorFinding
 
 CHANGES = 8  # factor by which small changes of colour are shown
@@ -46,52 +43,6 @@ def make_identification_page(found: Identification, touches: Sequence[Touch]) ->
     ]
     names = ", ".join(touch.name for touch in touches)
     return _make_page(describe_identification(found), f"touches: {names}", sections)
-
-
-def make_next_touch_page(found: NextTouch, picture: Path) -> Page:
-    """Return the page of a next touch; `picture` is the file that `draw_next_touch` gave."""
-    best, modes = found.best, found.modes
-    possible = f"of {len(modes.probabilities)} possible poses; 0: one is certain"
-    numbers = [
-        ("best approach", best.approach.name, f"of {len(found.ranked)}"),
-        ("entropy now", f"{modes.entropy:.2f} nats", possible),
-        ("expected entropy", f"{best.entropy:.2f} nats", "after the best approach"),
-        ("contact", format_percent(best.meets), "probability that the best approach meets the object"),
-    ]
-    groups = [", ".join(str(number + 1) for number in group) for group in found.alike]
-    notes = [f"No approach distinguishes poses {group}." for group in groups]
-    notes += [f"Out of reach: {one.name} {reason}." for one, reason in found.out_of_reach]
-    header = ("rank", "approach", "information (nats)", "entropy left (nats)", "contact (%)", "cost")
-    rows = [[str(rank), *_list_rated_cells(one)] for rank, one in enumerate(found.ranked, 1)]
-    sections = [
-        Section("summary", "", {"numbers": numbers, "notes": notes}),
-        Section("drawing", "Contact shapes", _embed(picture, "the best approach's contact shape at each pose")),
-        Section("rows", "Approaches", {"header": header, "rows": rows, "left": 2, "note": "", "label": "approaches"}),
-    ]
-    title = f"next touch of {modes.object_names}: {best.approach.name}"
-    return _make_page(title, f"symmetry {modes.symmetries}; {len(found.ranked)} approaches", sections)
-
-
-def make_hand_eye_page(record: HandEyeRecord, picture: Path) -> Page:
-    """Return the page of a mount; `picture` is the file that `draw_hand_eye` gave."""
-    std = np.sqrt(np.diag(np.array(record.covariance)))
-    used = [one for one in record.touch if not one.left_out]
-    x, y, z, angle_deg, axis = format_pose(np.array(record.T_flange_sensor))
-    along, about = (", ".join(f"{v:.2f}" for v in part) for part in (1e3 * std[:3], np.degrees(std[3:])))
-    numbers = [
-        ("sensor on the flange", f"{x}, {y}, {z} mm", f"x, y, z; rotated {angle_deg}° about {axis}"),
-        ("standard deviations", f"{along} mm", "along the flange's x, y and z axes"),
-        ("of the rotation", f"{about}°", "about the flange's x, y and z axes"),
-        ("touches", f"{len(used)} of {len(record.touch)}", "used; the others contradict them"),
-    ]
-    header = ("touch", "residual (mm)", "residual (°)", "imprint IoU (%)", "left out because")
-    rows = [_list_hand_eye_cells(one) for one in record.touch]
-    sections = [
-        Section("summary", "", {"numbers": numbers, "notes": []}),
-        Section("drawing", "Residuals", _embed(picture, "residual of each touch, before and after the fit")),
-        Section("rows", "Touches", {"header": header, "rows": rows, "left": 1, "note": "", "label": "touches"}),
-    ]
-    return _make_page(f"{record.sensor} on the flange", f"from touches of {record.object}", sections)
 
 
 def make_folder_page(found: Sequence[LocatedFile], shown: Mapping[str, Touch], about: str) -> Page:
@@ -169,10 +120,6 @@ def _show(shown: Mapping[str, Touch], touches: int) -> dict[str, object]:
     return {"images": images, "note": f"{DEPTHS} {left} touches are not drawn." if left else DEPTHS}
 
 
-def _embed(picture: Path, caption: str) -> dict[str, str]:
-    return {"picture": encode_gallery(picture) or "", "caption": caption}
-
-
 def _explain(verdict: str, found: Sequence[LocatedFile]) -> str:
     return next(explain_verdict(one.verdict) for one in found if name_verdict(one.verdict) == verdict)
 
@@ -180,16 +127,6 @@ def _explain(verdict: str, found: Sequence[LocatedFile]) -> str:
 def _list_known_cells(one: KnownObject, found: Localization) -> list[str]:
     numbers = [f"{100 * one.probability:.1f}", f"{one.misfit:.1f}", f"{100 * found.best.imprint_iou:.0f}"]
     return [one.name, *numbers, *format_pose(found.best.T_sensor_object)]
-
-
-def _list_rated_cells(one: RatedApproach) -> list[str]:
-    numbers = [f"{one.information:.2f}", f"{one.entropy:.2f}", f"{100 * one.meets:.0f}"]
-    return [one.approach.name, *numbers, f"{one.cost:g}"]
-
-
-def _list_hand_eye_cells(one: HandEyeTouchRecord) -> list[str]:
-    off = (1e3 * (one.residual_m or 0.0), np.degrees(one.residual_rad or 0.0))
-    return [one.name, *(f"{v:.2f}" for v in off), f"{100 * (one.imprint_iou or 0.0):.0f}", one.left_out]
 
 
 def _list_located_cells(one: LocatedFile) -> list[str]:

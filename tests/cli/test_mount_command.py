@@ -38,9 +38,9 @@ def written(name: str, *tables: str) -> str:
 def test_a_mount_is_found_and_used(cli, tables):
     Path("run.toml").write_text("temperature = 1e-3\n")  # no temperature is fitted
     touches = written("touches.toml", *tables)
-    done = succeed(cli("mount", *PIN, "--config", "run.toml", "--touch", touches, "--out", "out", "--report", "--json"))
+    done = succeed(cli("mount", *PIN, "--config", "run.toml", "--touch", touches, "--out", "out", "--json"))
     said = json.loads(done.stdout)
-    assert said["written"] == ["out/mount.toml", "out/mount.png", "out/report.html"]
+    assert said["written"] == ["out/mount.toml", "out/mount.png"]
     assert len(said["touch"]) == 8
     e = compute_pose_errors(X, read_mount("out/mount.toml").T_flange_sensor)
     assert np.linalg.norm(e[:3]) < 5e-4

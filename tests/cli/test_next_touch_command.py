@@ -36,9 +36,9 @@ def motion(x_mm: float, yaw_deg: float = 0.0) -> np.ndarray:
 @pytest.mark.usefixtures("drawn_pictures")
 def test_approaches_to_a_result_are_ranked_and_drawn(cli, result):
     poses = listed("poses.toml", motion(0), motion(4, 90), motion(500))
-    done = succeed(cli("next-touch", result, "--candidates", poses, "--out", "out", "--report", "--json"))
+    done = succeed(cli("next-touch", result, "--candidates", poses, "--out", "out", "--json"))
     said = json.loads(done.stdout)
-    assert said["written"] == ["out/next_touch.json", "out/next_touch.png", "out/report.html"]
+    assert said["written"] == ["out/next_touch.json", "out/next_touch.png"]
     assert json.loads(Path("out/next_touch.json").read_text()).items() <= said.items()
     worth = [one["worth"] for one in said["ranked"]]
     assert worth == sorted(worth, reverse=True)

@@ -29,12 +29,7 @@ Given = Annotated[
 
 
 def mount(
-    touch: Touches,
-    given: Given,
-    nominal: Nominal = None,
-    out: Out = DEFAULT_OUT,
-    report: options.Report = False,
-    store: options.Store = None,
+    touch: Touches, given: Given, nominal: Nominal = None, out: Out = DEFAULT_OUT, store: options.Store = None
 ) -> dict[str, Any]:
     """Find where a sensor is mounted on a flange.
 
@@ -58,9 +53,4 @@ def mount(
     say_mount(record)
     title = f"{record.sensor} on the flange, from touches of {record.object}"
     written = [write_mount(out / "mount.toml", record), save_figure(out / "mount.png", draw_hand_eye(found, title))]
-    if report:
-        from tactile_loc.reports.report import DEFAULT_NAME, write_page
-        from tactile_loc.reports.tasks import make_hand_eye_page
-
-        written.append(write_page(make_hand_eye_page(record, written[-1]), out / DEFAULT_NAME))
     return {**record.model_dump(mode="json", exclude_none=True), "written": say_written(written)}

@@ -137,7 +137,6 @@ def next_touch(
     seed: Seed = SEED,
     top: Top = 10,
     out: Out = DEFAULT_OUT,
-    report: options.Report = False,
 ) -> dict[str, Any]:
     """Choose where to touch next.
 
@@ -171,11 +170,6 @@ def next_touch(
     ]
     if wanted.around is not None:
         written.append(write_approaches(out / DRAWN, approaches, in_base))
-    if report:
-        from tactile_loc.reports.report import DEFAULT_NAME, write_page
-        from tactile_loc.reports.tasks import make_next_touch_page
-
-        written.append(write_page(make_next_touch_page(found, written[1]), out / DEFAULT_NAME))
     return {**document, "written": say_written(written)}
 
 
