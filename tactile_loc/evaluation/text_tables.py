@@ -105,13 +105,13 @@ def write_parquet(path: Path, rows: Sequence[Row]) -> Path:
         raise OutputError(f"{path} cannot be written ({error})") from error
 
 
-def require_parquet(what: str = "a table in Parquet", extra: str = "sweep") -> None:
-    """Raise MissingLibraryError without the library that writes Parquet; `what` needs it, `extra` installs it."""
+def require_parquet(what: str = "a table in Parquet") -> None:
+    """Raise MissingLibraryError without the library that writes Parquet; which `what` needs."""
     try:
         import pyarrow  # noqa: F401
     except ImportError as error:
         raise MissingLibraryError(
-            f"{what} needs pyarrow, which is not installed: pip install 'tactile-loc[{extra}]'"
+            f"{what} needs pyarrow, which is not installed: pip install 'tactile-loc[sweep]'"
         ) from error
 
 

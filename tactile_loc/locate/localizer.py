@@ -24,7 +24,7 @@ from tactile_loc.core.runtime.compiled import use_one_blas_thread
 from tactile_loc.core.runtime.errors import ConfigError, GridError, NoContactError, TouchError, quote
 from tactile_loc.core.runtime.progress import Progress, StageTimes
 from tactile_loc.core.sensing.noise import make_noise
-from tactile_loc.core.sensing.scene import DepthRenderer, Scene, View, view_touch
+from tactile_loc.core.sensing.scene import Scene, View, view_touch
 from tactile_loc.core.sensing.touch import Touch, require_fit
 from tactile_loc.io.config import RunConfig, SlotConfig, choose_sensor
 from tactile_loc.io.meshes.mesh_files import Units
@@ -277,11 +277,6 @@ class Localizer:
     def coarse_scene(self) -> Scene:
         """The scene with the few pixels of a listed grid's contact shapes, at full press."""
         return self._setup.coarse_scene
-
-    @property
-    def grid_judge(self) -> DepthRenderer:
-        """The renderer that decides which poses of a listed grid make enough contact."""
-        return self._setup.judge
 
     @property
     def mode_radius_m(self) -> float:

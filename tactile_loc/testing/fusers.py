@@ -195,7 +195,7 @@ def property_symmetric_copies(fuser: Fuser) -> None:
 
     All copies in the second touch's grid give the same probabilities, to TOLERANCE.
     """
-    grid = make_small_grid(scene=Scene(make_prism(), CAMERAS["orthographic"], ReferenceRenderer()))
+    grid = make_small_grid(Scene(make_prism(), CAMERAS["orthographic"], ReferenceRenderer()))
     elements, sensors = make_prism().symmetry.list_elements(), [T_BASE_FIRST, T_BASE_SECOND]
     there = _move_to_second(grid)
     plain = _fuse_several(fuser, _draw_posteriors([grid, there]), sensors)

@@ -301,19 +301,19 @@ def make_contact_poses(scene: Scene, count: int = 6) -> Poses:
     return scene.bring_to_contact(np.stack(poses))[0]
 
 
-def make_small_grid(count: int = 40, seed: int = 0, scene: Scene | None = None) -> PoseGrid:
-    """Return a grid of `count` random contact poses of the object in a scene, by default the block's."""
-    rng = np.random.default_rng(seed)
-    x, y, yaw = rng.uniform(-0.004, 0.004, count), rng.uniform(-0.004, 0.004, count), rng.uniform(0, 2 * np.pi, count)
+def make_small_grid(scene: Scene | None = None) -> PoseGrid:
+    """Return a grid of 40 random contact poses of the object in a scene, by default the block's."""
+    rng = np.random.default_rng(0)
+    x, y, yaw = rng.uniform(-0.004, 0.004, 40), rng.uniform(-0.004, 0.004, 40), rng.uniform(0, 2 * np.pi, 40)
     scene = scene or make_block_scene()
     poses = scene.bring_to_contact(np.stack([make_planar_pose(*p) for p in zip(x, y, yaw, strict=True)]))[0]
     return PoseGrid(poses, PoseMetric(scene.object))
 
 
-def make_training_problem(seed: int = 0) -> TrainingProblem:
+def make_training_problem() -> TrainingProblem:
     """Return a tiny problem for training an encoder before its checks, with the checks' object and camera."""
     scene = Scene(make_block(), LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
-    grid = make_small_grid(seed=seed, scene=scene)
+    grid = make_small_grid(scene)
     shapes = scene.render_contact_depths(grid.T_sensor_object, grid=True)
     sampler = registry().create("grid", "face", {"spacing_mm": 4.0, "face": "-z"})
     return ListedProblem(grid, scene, sampler, lambda: iter([shapes]))

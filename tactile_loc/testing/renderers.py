@@ -233,12 +233,10 @@ def _compare(depth: Float32, truth: Floats, camera: SensorGeometry, sentence: st
     require(beyond, f"{sentence}; outside the contact band it must be deeper than the band", cause)
 
 
-def _require_drawn(
-    renderer: Renderer, mesh: TriangleMesh, T: Poses, camera: SensorGeometry, sentence: str, stray: float = STRAY
-) -> None:
+def _require_drawn(renderer: Renderer, mesh: TriangleMesh, T: Poses, camera: SensorGeometry, sentence: str) -> None:
     """Raise ContractError unless poses (N, 4, 4) look as the reference renderer draws them."""
     depth, truth = (_draw(one, mesh, T, camera) for one in (renderer, ReferenceRenderer()))
-    _same(depth, truth, camera, sentence, stray, partial(_name_mistake, renderer, camera))
+    _same(depth, truth, camera, sentence, cause=partial(_name_mistake, renderer, camera))
 
 
 def _draw(renderer: Renderer, mesh: TriangleMesh, T: Poses, camera: SensorGeometry) -> Float32:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from tactile_loc.core.geometry.rigid import Float32, Floats
 from tactile_loc.core.runtime.errors import SensorError
 
 GelKind = Literal["rigid", "layer"]
-GEL_KINDS: tuple[GelKind, ...] = get_args(GelKind)
 FAR_M = np.float32(-1.0)  # reach of an object that is nowhere near a pixel
 THINNEST_M = 2e-4
 LEAST_K = 1e-4  # wave number times thickness, below which the limit is used

@@ -182,12 +182,10 @@ class _ExampleLocator:
         return PoseJudge(self.localizer.object)
 
 
-def is_determined(
-    observations: Sequence[Observation], hypotheses: Sequence[Hypothesis], errors_m: Floats, right_m: float = RIGHT_M
-) -> bool:
+def is_determined(observations: Sequence[Observation], hypotheses: Sequence[Hypothesis], errors_m: Floats) -> bool:
     """Return whether no listed wrong pose explains the touches as well as the true poses do.
 
-    `errors_m` (K,), metres, are the hypotheses' pose errors. A pose is wrong above `right_m`, metres. Raises TouchError
+    `errors_m` (K,), metres, are the hypotheses' pose errors. A pose is wrong above `RIGHT_M`. Raises TouchError
     if a touch has no true pose.
     """
     true = [
@@ -195,7 +193,7 @@ def is_determined(
         for localizer, touch in observations
     ]
     ious = np.array([hypothesis.imprint_iou for hypothesis in hypotheses])
-    return not bool(((errors_m > right_m) & explain_as_well(ious, float(np.mean(true)))).any())
+    return not bool(((errors_m > RIGHT_M) & explain_as_well(ious, float(np.mean(true)))).any())
 
 
 def _view_from_first(observations: Sequence[Observation], found: Localization) -> Poses:
