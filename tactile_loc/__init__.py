@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from tactile_loc.evaluation.sweep.tables import write_sweep as write_sweep
     from tactile_loc.evaluation.table import ExampleTable as ExampleTable
     from tactile_loc.evaluation.text_tables import format_markdown as format_markdown
-    from tactile_loc.evaluation.text_tables import write_parquet as write_parquet
     from tactile_loc.evaluation.text_tables import write_texts as write_texts
     from tactile_loc.evaluation.workers import LocalWorkers as LocalWorkers
     from tactile_loc.io.approach_files import Approach as Approach

@@ -1,4 +1,4 @@
-"""Rows as tables in Markdown, CSV, Parquet and JSON. A row maps names to JSON values, and a name ends with its unit."""
+"""Rows as tables in Markdown, CSV and JSON. A row maps names to JSON values, and a name ends with its unit."""
 
 import csv
 import io
@@ -9,12 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from tactile_loc.core.runtime.errors import MissingLibraryError, OutputError
 from tactile_loc.core.runtime.formatting import format_mm
 from tactile_loc.io.streams.records import read_versions
-from tactile_loc.store.files import write_atomically, write_text
+from tactile_loc.store.files import write_text
 
 Row = dict[str, Any]
 Table = list[list[str]]
@@ -83,38 +80,6 @@ def show_in_mm(row: Row) -> Row:
     return found
 
 
-def write_parquet(path: Path, rows: Sequence[Row]) -> Path:
-    """Write rows as Parquet, atomically, and return the path. A value that a row lacks is missing.
-
-    A column has numbers, truths or texts; values of several types become texts. Raises OutputError, and
-    MissingLibraryError without pyarrow.
-    """
-    require_parquet()
-    import pyarrow
-    from pyarrow import parquet
-
-    names = dict.fromkeys(name for row in rows for name in row)
-    columns = {name: _unify([row.get(name) for row in rows]) for name in names}
-
-    def write(temporary: Path) -> None:
-        parquet.write_table(pyarrow.table(columns), temporary)
-
-    try:
-        return write_atomically(path, write)
-    except pyarrow.ArrowException as error:
-        raise OutputError(f"{path} cannot be written ({error})") from error
-
-
-def require_parquet(what: str = "a table in Parquet") -> None:
-    """Raise MissingLibraryError without the library that writes Parquet; which `what` needs."""
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise MissingLibraryError(
-            f"{what} needs pyarrow, which is not installed: pip install 'tactile-loc[sweep]'"
-        ) from error
-
-
 class NotedTable(NamedTuple):
     """A table with a `title` for the terminal and a `note` for a document; where one is empty, it is not shown."""
 
@@ -165,17 +130,3 @@ def format_value(value: Any) -> Any:
     if value is None or (isinstance(value, str | int | float) and not isinstance(value, bool)):
         return value
     return json.dumps(value)
-
-
-def _unify(values: Sequence[Any]) -> Any:
-    """Return the values of a column of one type, with None for missing ones."""
-    import pyarrow
-
-    values = [value.item() if isinstance(value, np.generic) else value for value in values]
-    kinds = {type(value) for value in values if value is not None}
-    if kinds <= {float, int} and kinds != {int}:
-        return pyarrow.array(values, pyarrow.float64())
-    if kinds <= {bool} or kinds <= {int} or kinds <= {str}:
-        return pyarrow.array(values)
-    texts = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
-    return pyarrow.array(texts, pyarrow.string())

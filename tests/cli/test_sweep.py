@@ -14,7 +14,6 @@ from cli_helpers import FLAT_SENSOR, assert_refused, command, start_process, suc
 from message_helpers import missing
 
 psutil = pytest.importorskip("psutil")  # a dependency of distributed
-pytest.importorskip("pyarrow")
 
 PLAN = """\
 sensor = "flat.toml"
@@ -26,7 +25,7 @@ temperature = 0.01
 option.grid.spacing_mm = 8
 """
 COLUMNS = ["object", "sensor", "renderer", "grid", "encoder", "matcher", "refiner", "fuser", "noise", "seed", "state"]
-TABLES = {"sweep.csv", "sweep.md", "sweep.json", "sweep.parquet", "differences.csv", "touches.csv"}
+TABLES = {"sweep.csv", "sweep.md", "sweep.json", "differences.csv", "touches.csv"}
 FILES = TABLES | {"rows", "workers.log"}
 
 

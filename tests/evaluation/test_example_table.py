@@ -1,10 +1,9 @@
-"""The table of examples, and rows written as text and as Parquet."""
+"""The table of examples, and rows written as text."""
 
 import json
 
 import numpy as np
 import pytest
-from pyarrow.parquet import read_table
 from report_helpers import make_recall_runs
 
 from tactile_loc.evaluation import text_tables
@@ -52,13 +51,3 @@ def test_rows_are_written_as_markdown_and_csv():
     assert text_tables.format_csv(rows) == "n,m,v,yes\na,x,1.5,true\nb,y,,[1]\n"
     shown = text_tables.show_in_mm({"a_m": 0.00123456789, "b": 1 / 3, "c": 2, "d_m": None, "e": (1,)})
     assert shown == {"a_mm": "1.23457", "b": "0.333333", "c": 2, "d_mm": None}
-
-
-def test_rows_are_written_as_parquet_with_a_type_for_each_column(tmp_path):
-    rows = [
-        {"n": 1, "x": np.float64(0.5), "t": "a", "mixed": 3, "yes": True},
-        {"n": 2, "t": "b", "mixed": "c", "y": 4, "x": 7},
-    ]
-    first, second = read_table(text_tables.write_parquet(tmp_path / "rows.parquet", rows)).to_pylist()
-    assert first == {"n": 1, "x": 0.5, "t": "a", "mixed": "3", "yes": True, "y": None}
-    assert second == {"n": 2, "t": "b", "mixed": "c", "y": 4, "x": 7.0, "yes": None}

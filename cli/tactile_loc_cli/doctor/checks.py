@@ -238,9 +238,7 @@ LIBRARIES = (
     Dependency("distributed", ("distributed",), "jobs on a Dask cluster", "pip install 'tactile-loc[sweep]'"),
     Dependency("mcap", ("mcap",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
     Dependency("rosbags", ("rosbags",), "recordings of ROS topics", "pip install 'tactile-loc[recordings]'"),
-    Dependency(
-        "pyarrow", ("pyarrow",), "sweep tables as Parquet, libraries of parts", "pip install 'tactile-loc[sweep]'"
-    ),
+    Dependency("pyarrow", ("pyarrow",), "benchmarks and libraries of parts", "pip install pyarrow"),
 )
 
 

@@ -1,12 +1,15 @@
 """The files of a benchmark: benchmark.json and .md, leaderboard.json, rows.parquet, pictures, and the files of BOP."""
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow
 from pyarrow import parquet
-from tactile_loc import BopScene, format_markdown, write_bop, write_parquet, write_texts
+from tactile_loc import BopScene, format_markdown, write_bop, write_texts
+from tactile_loc.commands import write_atomically
 from tactile_loc.plugin import ConfigError
 
 from tactile_loc_benchmark.job import Row
@@ -43,7 +46,7 @@ def write_benchmark(out: Path, results: Results, pictures: Sequence[Mapping[str,
     written = write_texts(out, NAME, document, md=format_summary(results))
     if results.rows:
         written += write_texts(out, "leaderboard", record_leaderboard(results))
-        written.append(write_parquet(out / ROWS, list_rows(results)))
+        written.append(write_rows(out / ROWS, list_rows(results)))
         ids, *_ = write_bop(out, make_scenes(results.rows), "benchmark")
         written.append(ids.parent)
     return written
@@ -77,8 +80,30 @@ def read_benchmark(folder: Path) -> tuple[Results, list[Mapping[str, Any]]]:
         raise ConfigError(f"{path} is damaged or incomplete ({error!r}); run the benchmark again") from error
 
 
+def write_rows(path: Path, rows: Sequence[Row]) -> Path:
+    """Write rows as Parquet, atomically, and return the path. A value that a row lacks is missing.
+
+    A column has numbers, truths or texts; values of several types become texts. Raises OutputError.
+    """
+    names = dict.fromkeys(name for row in rows for name in row)
+    table = pyarrow.table({name: _unify([row.get(name) for row in rows]) for name in names})
+    return write_atomically(path, lambda temporary: parquet.write_table(table, temporary))
+
+
+def _unify(values: Sequence[Any]) -> Any:
+    """Return the values of a column of one type, with None for missing ones."""
+    values = [value.item() if isinstance(value, np.generic) else value for value in values]
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {float, int} and kinds != {int}:
+        return pyarrow.array(values, pyarrow.float64())
+    if kinds <= {bool} or kinds <= {int} or kinds <= {str}:
+        return pyarrow.array(values)
+    texts = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
+    return pyarrow.array(texts, pyarrow.string())
+
+
 def read_rows(path: Path) -> list[Row]:
-    """Return the rows of a file of `write_parquet`, without missing values.
+    """Return the rows of a file of `write_rows`, without missing values.
 
     Raises ConfigError if the file cannot be read, or takes too much memory.
     """

@@ -2,10 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
+from pyarrow.parquet import read_table
 from tactile_loc.plugin import ConfigError
 
-from tactile_loc_benchmark.files import HEAD, read_benchmark, read_rows, tabulate, write_benchmark
+from tactile_loc_benchmark.files import HEAD, read_benchmark, read_rows, tabulate, write_benchmark, write_rows
 from tactile_loc_benchmark.leaderboard import read_standings
 from tactile_loc_benchmark.prepare import hash_protocol
 from tactile_loc_benchmark.suite import create
@@ -39,6 +41,16 @@ def test_the_markdown_has_a_row_for_what_was_left_out_and_the_parquet_file_all_r
     rows = read_rows(written / "rows.parquet")
     assert len(rows) == len(finished.results.rows)
     assert rows[0]["mssd_mm"] == finished.results.rows[0]["mssd_mm"]
+
+
+def test_rows_are_written_with_a_type_for_each_column(tmp_path):
+    rows = [
+        {"n": 1, "x": np.float64(0.5), "t": "a", "mixed": 3, "yes": True},
+        {"n": 2, "t": "b", "mixed": "c", "y": 4, "x": 7},
+    ]
+    first, second = read_table(write_rows(tmp_path / "rows.parquet", rows)).to_pylist()
+    assert first == {"n": 1, "x": 0.5, "t": "a", "mixed": "3", "yes": True, "y": None}
+    assert second == {"n": 2, "t": "b", "mixed": "c", "y": 4, "x": 7.0, "yes": None}
 
 
 def test_the_failures_are_recorded(run_small, tmp_path):

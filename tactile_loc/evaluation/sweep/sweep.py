@@ -28,7 +28,7 @@ from tactile_loc.evaluation.sweep.combination import (
 )
 from tactile_loc.evaluation.sweep.plan import Plan, find_varied_options, find_varying_slots, name_choices
 from tactile_loc.evaluation.sweep.uncertainty import ComparedMedian
-from tactile_loc.evaluation.text_tables import Row, require_parquet
+from tactile_loc.evaluation.text_tables import Row
 from tactile_loc.slots.registry import SLOTS
 from tactile_loc.store.files import require_writable
 
@@ -173,7 +173,6 @@ def run_sweep(plan: Plan, out: Path, store: Path, workers: Workers, progress: Pr
     The row of a failed combination states the error, and the next call tries the combination again. All workers share
     the stage store in the folder `store`. Raises TactileLocError for a bad plan or `out`, before anything runs.
     """
-    require_parquet("a sweep")
     combinations, objects = combine(plan)
     require_writable(out)
     queue = [

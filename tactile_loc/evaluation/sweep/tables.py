@@ -1,4 +1,4 @@
-"""The tables of a sweep: sweep.csv, .parquet, .md and .json, differences.csv and touches.csv."""
+"""The tables of a sweep: sweep.csv, .md and .json, differences.csv and touches.csv."""
 
 import csv
 import math
@@ -23,7 +23,6 @@ from tactile_loc.evaluation.text_tables import (
     format_document,
     format_value,
     pivot,
-    write_parquet,
     write_texts,
 )
 from tactile_loc.slots.registry import SLOTS
@@ -51,7 +50,7 @@ def write_sweep(out: Path, sweep: Sweep, line: str) -> list[Path]:
     table, summary = format_csv(sweep.rows), format_summary(sweep, line)
     written = write_texts(out, "sweep", record_sweep(sweep, line), csv=table, md=summary)
     differences = write_text(out / "differences.csv", format_csv(list_differences(sweep, line)))
-    return [*written, write_parquet(out / "sweep.parquet", sweep.rows), differences, write_touches(out, sweep)]
+    return [*written, differences, write_touches(out, sweep)]
 
 
 def write_touches(out: Path, sweep: Sweep) -> Path:

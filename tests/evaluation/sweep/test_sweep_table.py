@@ -1,19 +1,15 @@
-"""The rows of a sweep have the right columns, Parquet holds the same values, and Markdown tables show the best."""
+"""The rows of a sweep have the right columns, and Markdown tables show the best."""
 
 import csv
-import json
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
-from message_helpers import missing, naming
+from message_helpers import missing
 
-from tactile_loc.core.runtime.errors import MissingLibraryError
 from tactile_loc.evaluation.protocol import LINES
 from tactile_loc.evaluation.sweep.sweep import MOMENTARY, Sweep, list_columns
 from tactile_loc.evaluation.sweep.tables import format_summary, list_differences, write_touches
-from tactile_loc.evaluation.text_tables import require_parquet, write_parquet
 from tactile_loc.slots.registry import SLOTS
 
 VALUES = {
@@ -62,24 +58,6 @@ def test_rows_follow_the_order_of_the_plan_and_omit_inapplicable_values(rows):
     failed = [row for row in rows if row["error"]]
     assert {(row["object"], row["refiner"]) for row in failed} == {("head", "none")}
     assert all(row["chosen_median_mm"] is None and row["key"] for row in failed)
-
-
-def test_parquet_is_read_back_with_its_types(rows, tmp_path):
-    from pyarrow import parquet
-
-    path = write_parquet(tmp_path / "sweep.parquet", rows)
-    table = parquet.read_table(path)
-    assert table.to_pylist() == rows
-    types = {field.name: str(field.type) for field in table.schema}
-    assert (types["seed"], types["grid_poses"], types["chosen_ms"]) == ("int64", "int64", "double")
-    assert [types[name] for name in VARIED] == ["double", "int64", "string", "bool"]
-    assert json.loads(table.to_pylist()[0]["built"])[0].startswith("grid ")
-
-
-def test_a_missing_library_gives_an_error_with_the_package_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingLibraryError, match=naming("pyarrow", "pip install 'tactile-loc[sweep]'")):
-        require_parquet("a sweep")
 
 
 MM = {("pin", "none"): 4.0, ("pin", "icp"): 0.5, ("head", "none"): 2.0, ("head", "icp"): 2.0001}
