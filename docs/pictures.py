@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draw pictures of the guide (method, conventions, tracking, next touch) from results of the code."""
+"""Draw pictures of the guide (method, conventions, tracking, next touch, test object) from results of the code."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc_benchmark.sliding_touches import SlidingTouches
+from tactile_loc_test_object.picture import draw_places
 
 from tactile_loc.core.geometry.lie import compute_pose_errors, move_covariance
 from tactile_loc.core.geometry.rigid import Poses, invert, transform_points
@@ -355,6 +356,7 @@ def main() -> None:
         "noise": draw_noise(plain),
         "matching": draw_matching(localizers),
         "track": draw_slide(Localizer.create(OBJECT, sensor="gelsight-mini")),
+        "test-object": draw_places(),
         "gel": draw_gel(Localizer.create("pin", sensor={"name": "gelsight-mini", "gel": "layer"})),
         "next-touch": draw_next(Localizer.create("head", sensor="gelsight-mini", temperature=0.05)),
     }

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 DRAWN_PX = 900
 DIFFERENCE_MM = 0.1  # at the ends of the colours
+LABEL = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
+ARROW = {"arrowstyle": "->", "lw": 0.8}
 LIGHT = (-0.5, 0.6, 0.62)
 
 
@@ -34,7 +36,10 @@ def draw_places() -> Figure:
     for place in PLACES:
         ax.plot(*place_circle(place.x, place.y), color="#1864ab", lw=0.7)
         label = f"{place.number} {place.name}"
-        ax.text(place.x, place.y + RADIUS + 0.4, label, ha="center", va="bottom", fontsize=7.5, color="#1864ab")
+        ax.text(place.x, place.y + RADIUS + 0.9, label, ha="center", va="bottom", fontsize=7.5, bbox=LABEL, zorder=3)
+    ax.annotate(
+        "raised corner", (half - 3, 1.2 - half), (half - 12, 4 - half), fontsize=7.5, arrowprops=ARROW, bbox=LABEL
+    )
     for x in COLUMNS:
         ax.plot((x, x), (-half - 2, half + 2), color="#c92a2a", lw=0.6, ls=(0, (8, 3, 2, 3)))
     for y in ROWS:
@@ -44,7 +49,7 @@ def draw_places() -> Figure:
     ax.set_ylabel("y (mm)")
     ax.set_title(
         f"plate {SIDE:g} x {SIDE:g} mm; origin in the middle of its top; all places {TOP:g} mm high\n"
-        "red: centre lines, with a notch at each end; the raised corner is at the lower right",
+        f"red: centre lines, with a notch at each end; blue: circles of {2 * RADIUS:g} mm that hold the shapes",
         fontsize=9,
     )
     return figure
@@ -88,7 +93,7 @@ def make_score_page(found: Score, folder: Path) -> Page:
         ("repeatability", found.repeatability_m, "at places pressed again; with the hand's error"),
         ("between places", found.between_places_m, "a hand alone causes about 0.2 mm"),
     ):
-        numbers.append((name, "unknown" if value is None else f"{MM * value:.2f} mm", meaning))
+        numbers.append((name, "not measured" if value is None else f"{MM * value:.2f} mm", meaning))
     notes = [press.refused for press in found.presses if press.refused]
     header, *rows = found.list_rows()
     shown = [

@@ -162,33 +162,22 @@ class Score:
             between, hand = MM * self.between_places_m, MM * HAND_M
             yield f"between places: {between:.2f} mm; the hand's error alone is about {hand:.1f} mm"
         (x, y), turn = MM * self.middle_m, np.degrees(self.turn_rad)
-        yield f"the place appears {x:+.2f} mm right and {y:+.2f} mm below the middle, turned by {turn:+.1f}°"
+        yield f"the place appears {x:+z.2f} mm right and {y:+z.2f} mm below the middle, turned by {turn:+z.1f}°"
 
     def list_rows(self) -> list[list[str]]:
         """Return the table of the presses, with its header."""
-        header = [
-            "photo",
-            "place",
-            "state",
-            "points",
-            "feature mm",
-            "error mm",
-            "heights %",
-            "x mm",
-            "y mm",
-            "turn deg",
-        ]
+        header = ["photo", "place", "state", "points", "press mm", "error mm", "heights %", "x mm", "y mm", "turn deg"]
         rows = []
         for press in self.presses:
-            cells, found = [""] * 5, press.surfaces
+            cells, found = [""] * 6, press.surfaces
             if press.shift_m is not None and found is not None:
                 heights = f"{100 * found.scale:.0f}" if found.relief_m > FLAT_M else "flat"
                 x, y = MM * (press.shift_m - self.middle_m)
                 turn = np.degrees(press.turn_rad - self.turn_rad)
-                cells = [f"{MM * found.error_m:.3f}", heights, f"{x:+.2f}", f"{y:+.2f}", f"{turn:+.1f}"]
-            place, points = press.photo.place, f"{self.rate(press):.0f}"
-            state = self.describe_state(press)
-            rows.append([press.photo.path.name, place.name, state, points, f"{place.feature:g}", *cells])
+                cells = [f"{MM * found.deepest_m:.2f}", f"{MM * found.error_m:.3f}", heights]
+                cells += [f"{x:+z.2f}", f"{y:+z.2f}", f"{turn:+z.1f}"]
+            state, points = self.describe_state(press), f"{self.rate(press):.0f}"
+            rows.append([press.photo.path.name, press.photo.place.name, state, points, *cells])
         return [header, *rows]
 
     def to_row(self, sensor: str) -> dict[str, Any]:
@@ -227,6 +216,7 @@ class Score:
                     "state": self.describe_state(press),
                     "reason": press.refused,
                     "points": round(self.rate(press), 1),
+                    "press_mm": None if found is None else _round_mm(found.deepest_m),
                     "error_mm": None if found is None else _round_mm(found.error_m),
                     "relief_mm": None if found is None else _round_mm(found.relief_m),
                     "height_scale": None if found is None else round(found.scale, 3),

@@ -79,6 +79,11 @@ class Surfaces:
         return subtract_plane(self.seen - self.expected, self.inside)
 
     @property
+    def deepest_m(self) -> float:
+        """How deep the gel is pressed in, metres, as it was read."""
+        return float(self.seen.max())
+
+    @property
     def share(self) -> float:
         """The share of the shape that the reading shows, 0 to 1: 1 minus the error as a share of the relief."""
         return max(0.0, 1 - self.error_m / max(self.relief_m, FLAT_M))

@@ -1,10 +1,12 @@
 """The test object can be printed and aligned, and no place looks the same after a turn."""
 
 import csv
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import trimesh
+from manifold3d import CrossSection, Error, JoinType, Manifold, Mesh64
 from tactile_loc import load_object
 from tactile_loc.plugin import SensorGeometry, registry
 from tactile_loc.plugin.helpers import rotation_about
@@ -12,18 +14,23 @@ from tactile_loc.plugin.helpers import rotation_about
 from tactile_loc_test_object.picture import draw_places
 from tactile_loc_test_object.scoring import find_nominal_pose
 from tactile_loc_test_object.shape import (
+    LINE,
+    LINE_DEPTH,
     PLACES,
     RADIUS,
     SIDE,
     THICKNESS,
     TOP,
     make_object,
-    make_solid,
     write_places,
     write_stl,
 )
 
 STEEPEST_DEG = 45.0
+NOZZLE, LAYER = 0.4, 0.1
+CORNER_MM2 = NOZZLE**2 / 4
+DEEPEST = 1.0  # a press of 0.8 mm does not reach lower parts
+HOUSING = 34.0
 LEAST_TURN_DEG = 20
 CAMERA = SensorGeometry("orthographic", 120, 120, 10_000, 10_000, 60, 60, 20e-3, 6e-3)
 
@@ -36,7 +43,7 @@ def mesh(tmp_path_factory) -> trimesh.Trimesh:
 
 
 def test_the_object_is_watertight_and_has_its_size(mesh):
-    assert mesh.is_watertight
+    assert mesh.is_volume  # watertight, and its faces look outwards
     assert mesh.body_count == 1
     half = SIDE / 2
     np.testing.assert_allclose(mesh.bounds, [[-half, -half, -THICKNESS], [half, half, TOP]], atol=1e-6)
@@ -48,11 +55,63 @@ def test_nothing_overhangs(mesh):
     assert mesh.area_faces[below & down].sum() == 0
 
 
-def test_walls_are_at_least_a_millimetre_thick():
-    """Every part of a section is left when its outline moves inwards by nearly half a millimetre."""
-    for height in (0.3, 1.0, 1.3):
-        section = make_solid().slice(height)
-        assert len(section.offset(-0.48).decompose()) >= len(section.decompose())
+@pytest.fixture(scope="module")
+def printed(mesh) -> Manifold:
+    """The solid that a slicer reads from the file."""
+    solid = Manifold(Mesh64(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.uint64)))
+    assert solid.status() == Error.NoError
+    assert solid.volume() == pytest.approx(mesh.volume)
+    return solid
+
+
+def widen(section: CrossSection, by_mm: float) -> CrossSection:
+    return section.offset(by_mm, JoinType.Round, circular_segments=32)
+
+
+def find_largest_part(section: CrossSection) -> float:
+    return max((part.area() for part in section.decompose()), default=0.0)
+
+
+def test_each_layer_rests_on_the_one_below(printed):
+    heights = np.arange(-THICKNESS + LAYER / 2, TOP, LAYER)
+    layers = [printed.slice(height) for height in heights]
+    assert all(layer.area() > 0 for layer in layers)
+    for below, layer in pairwise(layers):
+        assert (layer - widen(below, LAYER + 1e-3)).area() < 1e-6
+
+
+def test_a_nozzle_can_print_all_walls_and_grooves(printed):
+    """Only sharp corners of walls are narrower than the nozzle, and no groove is, where a sensor touches.
+
+    The tips are thinner. They end at the heights 1.8 and 2 mm.
+    """
+    half = NOZZLE / 2 - 0.01
+    for height in np.arange(LAYER / 2, TOP - 0.3, LAYER):
+        layer = printed.slice(height)
+        assert find_largest_part(layer - widen(widen(layer, -half), half + 2e-3)) < CORNER_MM2
+        if height > DEEPEST:
+            assert find_largest_part(widen(widen(layer, half), -half - 2e-3) - layer) < 1e-3
+
+
+@pytest.mark.parametrize("place", PLACES, ids=lambda place: place.name)
+def test_lines_beside_a_housing_mark_the_centre(printed, place):
+    """Along both axes, a groove has its middle at the place's centre, and some of it is visible beside a housing."""
+    plate = CrossSection.square((SIDE, SIDE), True)
+    housing = CrossSection.square((HOUSING, HOUSING), True).translate((place.x, place.y))
+    visible = plate - printed.slice(-LINE_DEPTH / 2) - housing
+
+    def measure_length(axis: int, beside: float) -> float:
+        """Return the visible length of the groove, at a distance from the centre line."""
+        strip = CrossSection.square((0.02, 2 * SIDE)[:: 1 - 2 * axis], True)
+        at = np.array([place.x, place.y]) * (axis == 0, axis == 1)
+        at[axis] += beside
+        return (visible ^ strip.translate(tuple(at))).area() / 0.02
+
+    for axis in (0, 1):
+        inside = [measure_length(axis, beside) for beside in (0.02 - LINE / 2, 0, LINE / 2 - 0.02)]
+        outside = [measure_length(axis, beside) for beside in (-0.02 - LINE / 2, LINE / 2 + 0.02)]
+        assert min(inside) > 8
+        assert max(outside) < 3  # lines that cross, and the notches
 
 
 def draw(place, turn_rad: float = 0.0) -> np.ndarray:
@@ -91,4 +150,4 @@ def test_the_files_state_the_object_in_mm(tmp_path):
 
 def test_the_drawing_names_every_place():
     texts = {text.get_text() for text in draw_places().axes[0].texts}
-    assert texts == {f"{place.number} {place.name}" for place in PLACES}
+    assert texts == {*(f"{place.number} {place.name}" for place in PLACES), "raised corner"}
