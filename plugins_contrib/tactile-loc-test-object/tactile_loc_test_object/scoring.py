@@ -29,7 +29,7 @@ STARTS_M = 1e-3  # the search starts at the nominal pose, and this much beside i
 PITCH_M = 2e-4  # surfaces are compared on pixels of about this size
 DEEPER = 1.3  # the object may reach this much deeper than was read
 TOUCHING_M = 2e-5
-FEWEST_PX = 12  # a smaller contact is compared up to its border
+FEWEST_PX = 12  # a smaller contact is not compared, and one with a smaller inside is compared up to its border
 FLAT_M = 2e-5  # a relief below this counts as this much, so that the errors of flat faces are not divided by zero
 NAMES = re.compile(r"0*(\d+)([a-z]*)", re.IGNORECASE)
 SUFFIXES = (*IMAGE_SUFFIXES, ".npz", ".npy")
@@ -173,13 +173,20 @@ def locate_press(localizer: Localizer, touch: Touch, photo: Photo, turn_rad: flo
     at = nominal[:3, :3] @ centre_m + nominal[:3, 3]
     shift_m = (moved[:3, :3] @ at + moved[:3, 3] - at)[:2]
     turned = float(np.arctan2(moved[1, 0] - moved[0, 1], moved[0, 0] + moved[1, 1]))
-    return ScoredPress(
-        photo, "", shift_m, turned, str(found.verdict), compare_surfaces(own.scene.match_touch(touch), touch, T)
-    )
+    surfaces = compare_surfaces(own.scene.match_touch(touch), touch, T)
+    if surfaces is None:
+        raise TestObjectError(
+            f"{photo.path}: the object hardly touches the gel at the pose that was found; press deeper, or check the "
+            "number of the photo"
+        )
+    return ScoredPress(photo, "", shift_m, turned, str(found.verdict), surfaces)
 
 
-def compare_surfaces(scene: Scene, touch: Touch, T: Floats) -> Surfaces:
-    """Return the surfaces of a touch, and of the scene at a pose (4, 4), metres."""
+def compare_surfaces(scene: Scene, touch: Touch, T: Floats) -> Surfaces | None:
+    """Return the surfaces of a touch, and of the scene at a pose (4, 4), metres.
+
+    They are None if the object touches fewer than FEWEST_PX pixels: a plane fits any surface there.
+    """
     step = max(1, round(PITCH_M / touch.geometry.pixel_pitch_m))
     geometry, deep_m = touch.geometry.subsample(step), DEEPER * touch.indentation_m
     pressed = replace(scene, geometry=geometry).press(deep_m)
@@ -189,5 +196,7 @@ def compare_surfaces(scene: Scene, touch: Touch, T: Floats) -> Surfaces:
     )
     seen = np.maximum(touch.indentation_m - touch.contact_shape.depth_m[::step, ::step].astype(float), 0)
     touching = (rigid > TOUCHING_M) & geometry.observed_mask
+    if touching.sum() < FEWEST_PX:
+        return None
     inner = binary_erosion(touching)
     return Surfaces.compare(seen, expected, inner if inner.sum() >= FEWEST_PX else touching)

@@ -9,12 +9,14 @@ from tactile_loc import Localizer, StageStore, Touch
 from tactile_loc.plugin import ContactShape
 from tactile_loc.plugin.helpers import make_translation
 
+from tactile_loc_test_object import scoring
 from tactile_loc_test_object.score import Score
 from tactile_loc_test_object.scoring import (
     Photo,
     ScoredPress,
     Surfaces,
     TestObjectError,
+    compare_surfaces,
     find_nominal_pose,
     list_photos,
     locate_press,
@@ -118,6 +120,21 @@ def test_a_plane_is_no_error():
     assert tilted.share == pytest.approx(1)
     assert Surfaces.compare(0.8 * bowl, bowl, inside).share == pytest.approx(0.8)
     assert np.abs(subtract_plane(1e-5 * x + 3, inside)).max() < 1e-12
+
+
+@pytest.mark.parametrize(("lifted_m", "refused"), [(0.0, False), (4.9e-4, True), (1e-3, True)])
+def test_a_pose_without_contact_has_no_surfaces(localizer, lifted_m, refused):
+    geometry = localizer.sensor.geometry
+    T = localizer.scene.press(PRESS_M).bring_to_contact(find_nominal_pose(PLACES[0], geometry)[None])[0][0]
+    touch = Touch(localizer.scene.contact_shape(T, PRESS_M), geometry)
+    scene, lifted = localizer.scene.match_touch(touch), make_translation([0, 0, lifted_m]) @ T
+    assert (compare_surfaces(scene, touch, lifted) is None) == refused
+
+
+def test_a_photo_without_a_pose_is_refused(localizer, monkeypatch):
+    monkeypatch.setattr(scoring, "compare_surfaces", lambda *_: None)
+    with pytest.raises(TestObjectError, match=r"^1\.png: "):
+        press(localizer, PLACES[0])
 
 
 def test_photos_are_found_by_their_numbers(tmp_path):
