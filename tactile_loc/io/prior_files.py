@@ -12,7 +12,7 @@ from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.priors import GaussianPrior, HypothesesPrior, PosePrior, RegionPrior
 from tactile_loc.core.runtime.errors import ConfigError
-from tactile_loc.io.listed_poses import Scale, read_listed_poses
+from tactile_loc.io.listed_poses import SUFFIXES, Scale, read_listed_poses
 from tactile_loc.io.toml import (
     MATRIX,
     POSITIVE_MM,
@@ -62,7 +62,7 @@ class _Gaussian(PoseKeys):
     translation_std_mm: Positive = Field(description=POSITIVE_MM)
     rotation_std_deg: Positive | None = Field(None, description=STD_DEG)
 
-    def make(self, obj: ObjectModel, folder: Path) -> PosePrior:
+    def make(self, obj: ObjectModel) -> PosePrior:
         T = self.read_pose("T")
         if T is None:
             raise ValueError(f"the pose is missing; {name_pose_keys('T')}")
@@ -78,8 +78,8 @@ class _Hypotheses(PoseKeys):
     translation_std_mm: Positive = Field(description=POSITIVE_MM)
     rotation_std_deg: Positive | None = Field(None, description=STD_DEG)
 
-    def make(self, obj: ObjectModel, folder: Path) -> PosePrior:
-        T, listed = self.read_pose("T"), read_listed_poses(folder / self.poses)
+    def make(self, obj: ObjectModel) -> PosePrior:
+        T, listed = self.read_pose("T"), read_listed_poses(Path(self.poses))
         poses = listed.T_camera_object if T is None else T @ listed.T_camera_object
         return HypothesesPrior(tuple(_make_gaussian(self, one, obj) for one in poses), listed.weigh(self.scores))
 
@@ -101,7 +101,7 @@ class _Region(_Placed):
     low_mm: Bounds = Field([-math.inf] * 3, description="[x, y, z] (mm), -inf without a bound")
     high_mm: Bounds = Field([math.inf] * 3, description="[x, y, z] (mm), inf without a bound")
 
-    def make(self, obj: ObjectModel, folder: Path) -> PosePrior:
+    def make(self, obj: ObjectModel) -> PosePrior:
         if not all(low < high for low, high in zip(self.low_mm, self.high_mm, strict=True)):
             raise ValueError(
                 f"the region is empty: low_mm = {self.low_mm} and high_mm = {self.high_mm}; each number of low_mm must "
@@ -115,7 +115,7 @@ class _HalfSpace(_Placed):
     normal: Three = Field(description="[x, y, z], pointing from the plane to the object's side")
     plane_point_mm: Three = Field(description="[x, y, z] (mm), a point of the plane")
 
-    def make(self, obj: ObjectModel, folder: Path) -> PosePrior:
+    def make(self, obj: ObjectModel) -> PosePrior:
         return RegionPrior.half_space(self.normal, 1e-3 * np.array(self.plane_point_mm), self.find_point_m(obj))
 
 
@@ -140,8 +140,16 @@ def read_prior(path: str | Path, obj: ObjectModel) -> FramedPrior:
     respects the object's symmetry. A region or half-space contains the object's centroid, or the point of the object
     that the file gives. Raises ConfigError when the file is missing, or a key is missing, unknown or ill-typed.
     """
-    path, values = Path(path), read_toml(path)
+    path = Path(path)
+    if path.suffix.lower() in SUFFIXES:
+        raise ConfigError(
+            f"{path} is no prior; a prior is a TOML file, which names such a list of poses: "
+            f'kind = "hypotheses", poses = "{path.name}"'
+        )
+    values = read_toml(path)
+    if isinstance(values.get("poses"), str):
+        values["poses"] = str(path.parent / values["poses"])
     model = _KINDS.get(str(values.get("kind")), _Gaussian)
     with name_errors(path, model, values, f"a prior of kind {values.get('kind')!r}", decisive="kind"):
         keys = model(**values)
-        return FramedPrior(keys.make(obj, path.parent), keys.frame, str(path))
+        return FramedPrior(keys.make(obj), keys.frame, str(path))

@@ -17,9 +17,14 @@ POSES = make_transform(draw_rotations(3, np.random.default_rng(0)), [[0.1, 0.2, 
 SCORES = np.array([0.5, 0.25, 0.25])
 
 
-def write_bop(path: Path, **changes: str) -> Path:
+def scale(factor: float) -> np.ndarray:
+    """Return the poses with translations in another unit."""
+    return make_transform(POSES[:, :3, :3], factor * POSES[:, :3, 3])
+
+
+def write_bop(path: Path, poses: np.ndarray = POSES, **changes: str) -> Path:
     lines = ["scene_id,im_id,obj_id,score,R,t,time"]
-    for k, (T, score) in enumerate(zip(POSES, SCORES, strict=True)):
+    for k, (T, score) in enumerate(zip(poses, SCORES, strict=True)):
         R, t = (" ".join(f"{v:.12g}" for v in part.ravel()) for part in (T[:3, :3], 1e3 * T[:3, 3]))
         row = {"scene_id": "1", "im_id": "2", "obj_id": "3", "score": str(score), "R": R, "t": t, "time": "-1"}
         lines.append(",".join((row | changes if k == 1 else row).values()))
@@ -70,6 +75,10 @@ def test_scores_become_probabilities():
     np.testing.assert_allclose(listed.weigh("proportional"), SCORES)
     np.testing.assert_allclose(ListedPoses(POSES, np.log(SCORES) - 700).weigh("log"), SCORES)
     np.testing.assert_allclose(listed.weigh("equal"), 1 / 3)
+    unscored = ListedPoses(POSES, None)
+    np.testing.assert_allclose(unscored.weigh("equal"), 1 / 3)
+    with pytest.raises(ConfigError, match="equal"):
+        unscored.weigh("proportional")
     for scores in ([-1.0, 2.0, 3.0], [0.0, 0.0, 0.0]):
         with pytest.raises(ConfigError, match=naming("log", "equal")):
             ListedPoses(POSES, np.array(scores)).weigh("proportional")
@@ -84,8 +93,10 @@ def test_scores_become_probabilities():
         ("a.csv", lambda path: write_bop(path, score="nan"), ["score"]),
         ("a.csv", lambda path: write_bop(path, R="2 0 0 0 2 0 0 0 2"), ["pose 2"]),
         ("a.csv", lambda path: path.write_text("x,y\n1,2\n"), ["score"]),
-        ("a.csv", lambda path: path.write_text("scene_id,im_id,obj_id,score,R,t,time\n"), ["no poses"]),
-        ("a.npz", lambda path: np.savez(path, poses=POSES), ["scores"]),
+        ("a.csv", lambda path: path.write_text("scene_id,im_id,obj_id,score,R,t,time\n"), ["no pose"]),
+        ("a.csv", lambda path: write_bop(path, scale(1e-3)), ["mm in .csv"]),
+        ("a.npz", lambda path: write_arrays(path, poses=scale(1e3)), ["metres in .npz"]),
+        ("a.npz", lambda path: np.savez(path, scores=SCORES), ["poses"]),
         ("a.npz", lambda path: write_arrays(path, scores=np.ones(2)), ["3", "2"]),
         ("a.npz", lambda path: write_arrays(path, poses=POSES[0]), ["(4, 4)"]),
         ("a.npz", lambda path: write_arrays(path, poses=np.array(["a", "b"])), []),
@@ -104,11 +115,20 @@ def test_a_bad_list_is_refused(tmp_path, name, write, named):
         read_listed_poses(path)
 
 
-def test_detections_of_several_objects_or_without_a_direction_are_refused():
+def test_a_spreadsheets_list_is_read_and_arrays_may_lack_scores(tmp_path):
+    path = write_bop(tmp_path / "bop.csv")
+    path.write_text(path.read_text().replace(",", ";"))
+    np.testing.assert_allclose(read_listed_poses(path).T_camera_object, POSES, atol=1e-9)
+    np.savez(tmp_path / "poses.npz", poses=POSES)
+    assert read_listed_poses(tmp_path / "poses.npz").scores is None
+
+
+@pytest.mark.parametrize("length", [0.0, 0.7])
+def test_detections_of_several_objects_or_with_an_impossible_quaternion_are_refused(length):
     several, no_turn = detect(), detect()
     several["detections"][1]["results"][0]["hypothesis"]["class_id"] = "pin"
     with pytest.raises(ConfigError, match=naming("hook", "pin")):
         read_detections(several)
-    no_turn["detections"][0]["results"][0]["pose"]["pose"]["orientation"] = dict.fromkeys("xyzw", 0.0)
+    no_turn["detections"][0]["results"][0]["pose"]["pose"]["orientation"] = dict.fromkeys("xyzw", length / 2)
     with pytest.raises(ConfigError, match="orientation"):
         read_detections(no_turn)

@@ -64,6 +64,12 @@ def test_a_list_of_poses_is_seen_from_the_camera(tmp_path, box):
     np.testing.assert_allclose(in_sensor.probabilities, 0.5)
 
 
+@pytest.mark.parametrize("name", ["poses.npz", "bop.csv", "detections.json"])
+def test_a_list_in_place_of_a_prior_is_refused_with_the_key_that_names_it(tmp_path, box, name):
+    with pytest.raises(ConfigError, match=naming(name, f'poses = "{name}"')):
+        read_prior(tmp_path / name, box)
+
+
 def test_a_region_may_be_open_and_bounds_the_centroid(tmp_path, box):
     text = REGION + "low_mm = [-inf, 0, -5]\nhigh_mm = [3, inf, 5]\n"
     poses = random_poses(200)
