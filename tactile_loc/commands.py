@@ -42,6 +42,10 @@ if TYPE_CHECKING:
     # identification
     from tactile_loc_cli.commands.identify import IdentificationOutput as IdentificationOutput
 
+    # pictures and numbers in pages
+    from tactile_loc.io.images import encode_png as encode_png, make_png_url as make_png_url
+    from tactile_loc.reports.scene import pack_array as pack_array
+
     # files, which are written completely or not at all
     from tactile_loc.locate.stored_object import list_mesh_files as list_mesh_files
     from tactile_loc.store.files import remove_abandoned as remove_abandoned

@@ -1,5 +1,6 @@
 """Reads images from untrusted files: photos, masks and depths. Damaged files are refused, and so are large ones."""
 
+import base64
 import os
 import re
 import warnings
@@ -191,6 +192,11 @@ def encode_png(values: NDArray[np.uint8]) -> bytes:
     file = BytesIO()
     Image.fromarray(values).save(file, "PNG")
     return file.getvalue()
+
+
+def make_png_url(png: bytes) -> str:
+    """Return the bytes of a PNG file as a data URL, which a page shows without the file."""
+    return f"data:image/png;base64,{base64.b64encode(png).decode()}"
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from tactile_loc.core.geometry.hand_eye import (
     predict,
 )
 from tactile_loc.core.geometry.lie import compute_pose_errors, move_covariance
+from tactile_loc.core.geometry.pose_words import name_line
 from tactile_loc.core.geometry.rigid import Bools, Floats, Poses, rotation_angle
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.registration.joint_registration import JointRegistration
@@ -295,7 +296,7 @@ def require_motions(given: FlangeTouches) -> None:
         )
     if second < ROTATED_RAD:
         raise MountError(
-            f"the flange was rotated about {_name_axis(axes[0])} of the flange only, so the sensor's position along "
+            f"the flange was rotated about {name_line(axes[0])} of the flange only, so the sensor's position along "
             "this axis is unknown; add touches with the flange rotated about another axis"
         )
 
@@ -323,17 +324,8 @@ def require_determined(covariance: Floats) -> None:
         variances, directions = np.linalg.eigh(part)
         std = float(np.sqrt(variances[-1]))
         if std > limit:
-            where = f"{_name_axis(directions[:, -1])} of the flange"
+            where = f"{name_line(directions[:, -1])} of the flange"
             raise MountError(
                 f"the sensor's {what} {where} has a standard deviation of {unit * std:.1f} {name}, which is too much; "
                 "add touches on edges and corners, with the flange rotated about other axes"
             )
-
-
-def _name_axis(v: Floats) -> str:
-    """Return the name of a direction: x, y or z if the direction is near that axis, otherwise its coordinates."""
-    k = int(np.abs(v).argmax())
-    if abs(v[k]) > np.cos(np.radians(5.0)):
-        return "xyz"[k]
-    v = v * np.sign(v[k])
-    return f"({v[0]:.2f}, {v[1]:.2f}, {v[2]:.2f})"

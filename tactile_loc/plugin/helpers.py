@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from tactile_loc.bases.exact_matcher import ExactMatcher as ExactMatcher
 
     # rotations and transforms
+    from tactile_loc.core.geometry.pose_words import name_direction as name_direction, name_line as name_line
     from tactile_loc.core.geometry.lie import exponential as exponential, logarithm as logarithm
     from tactile_loc.core.geometry.rigid import align_to_z as align_to_z, axis_angle as axis_angle
     from tactile_loc.core.geometry.rigid import draw_rotations as draw_rotations
@@ -74,6 +75,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.registration.joint_registration import JointRegistration as JointRegistration
     from tactile_loc.core.registration.joint_registration import RegistrationOptions as RegistrationOptions
     from tactile_loc.core.sensing.clouds import make_contact_cloud as make_contact_cloud
+    from tactile_loc.core.sensing.clouds import spread_points as spread_points
 
     # compiled loops, threads, memory and messages
     from tactile_loc.core.runtime.caches import ByteCache as ByteCache

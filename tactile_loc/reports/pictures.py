@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from tactile_loc.core.geometry.rigid import Bools
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
+from tactile_loc.io.images import make_png_url
 from tactile_loc.view.drawn_scene import trace_outlines_m
 from tactile_loc.view.pictures import compute_extent_mm
 from tactile_loc.view.pose_panel import list_round_values
@@ -126,7 +126,7 @@ def _encode_image(image: Any, **options: Any) -> str:
     """Return a PIL image as a PNG data URI."""
     buffer = io.BytesIO()
     image.save(buffer, "PNG", optimize=True, **options)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return make_png_url(buffer.getvalue())
 
 
 def write_number(value: float) -> str:

@@ -1,15 +1,12 @@
 """The HTML report of a benchmark: tables, plots, and an example touch of each source."""
 
-import base64
-import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import PIL.Image
-from numpy.typing import NDArray
 from tactile_loc import ExampleSummary, ExampleTable, Page, Section, StageStore, paint_shape
+from tactile_loc.commands import encode_png, make_png_url
 from tactile_loc.plugin import SensorGeometry
 
 from tactile_loc_benchmark.examples import DrawnTouches, ExampleDrawer
@@ -118,13 +115,6 @@ def _show_touch(
         "source": source.entry.label,
         "object": name,
         "press": f"{1e3 * shape.press_depth_m:.2f} mm",
-        "photo": _encode_picture(seen) if seen.ndim == 3 else None,
-        "shape": _encode_picture(paint_shape(shape, geometry)),
+        "photo": make_png_url(encode_png(seen)) if seen.ndim == 3 else None,
+        "shape": make_png_url(encode_png(paint_shape(shape, geometry))),
     }
-
-
-def _encode_picture(picture: NDArray[np.uint8]) -> str:
-    """Return a picture (H, W, 3) as a data URI."""
-    png = io.BytesIO()
-    PIL.Image.fromarray(picture).save(png, "PNG")
-    return f"data:image/png;base64,{base64.b64encode(png.getvalue()).decode()}"

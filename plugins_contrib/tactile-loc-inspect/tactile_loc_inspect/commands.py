@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +15,7 @@ from tactile_loc.commands import (
     declare,
     format_count,
     make_config,
+    make_png_url,
     make_progress,
     open_localizer,
     read_touches,
@@ -134,7 +134,6 @@ def make_inspection_page(found: Inspection, located: Localization, picture: Path
     from tactile_loc import Page, Section
 
     names = ", ".join(touch.name for touch in located.touches)
-    encoded = f"data:image/png;base64,{base64.b64encode(picture.read_bytes()).decode()}"
     numbers = [
         ("verdict", found.verdict, "only for the touched surface"),
         ("touched", f"{100 * found.touched:.1f} %", "of the surface"),
@@ -163,7 +162,7 @@ def make_inspection_page(found: Inspection, located: Localization, picture: Path
     )
     sections = [
         Section("summary", "", {"numbers": numbers, "notes": found.list_notes()}),
-        Section("drawing", "Differences", {"picture": encoded, "caption": CAPTION}),
+        Section("drawing", "Differences", {"picture": make_png_url(picture.read_bytes()), "caption": CAPTION}),
         Section("rows", "List", {"header": header, "rows": rows, "left": 1, "note": note, "label": "differences"}),
     ]
     return Page("tasks", f"inspection of {found.object.name}: {found.verdict}", f"touches: {names}", sections, {}, [])

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from tactile_loc.commands import make_png_url
 from tactile_loc.plugin import SensorGeometry, registry
 
 from tactile_loc_test_object.score import MM, Score
@@ -141,4 +141,4 @@ def _encode(picture: Any) -> str:
 
     file, times = BytesIO(), max(1, round(300 / picture.shape[1]))
     imsave(file, np.kron(np.clip(picture, 0, 1), np.ones((times, times, 1))), format="png")
-    return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+    return make_png_url(file.getvalue())

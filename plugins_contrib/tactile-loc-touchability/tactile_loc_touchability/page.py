@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import Page, Section, TriangleMesh, frame_surface, simplify_mesh
-from tactile_loc.commands import format_mm
+from tactile_loc.commands import format_count, format_mm, pack_array
 
 from tactile_loc_touchability.details import Findings
 from tactile_loc_touchability.features import RADIUS_M
@@ -120,15 +119,13 @@ def draw_maps(found: Findings) -> tuple[dict[int, str], dict[str, Any]]:
     """Return the names of the maps, and the page's data: the surface, and each map's values of its triangles."""
     study, maps = found.study, list_maps(found)
     mesh = subdivide(study.localizer.object.mesh, study.diameter_m / EDGES)
-    centres_m, sides = mesh.triangles_m.mean(axis=1), np.diff(mesh.triangles_m, axis=1)
-    across = np.cross(sides[:, 0], sides[:, 1])
-    normals = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-30)
+    centres_m, normals = mesh.triangles_m.mean(axis=1), mesh.face_normals
     apart = np.linalg.norm(centres_m[:, None] - study.presses.places_m[None], axis=-1)
     reached = np.where(normals @ study.presses.normals.T > 0, apart, np.inf).min(axis=1) < NEAR * study.diameter_m
     packed = []
     for one in maps:
         shown = np.clip(average_nearby(study, one.values, centres_m, normals), 0.0, one.high)
-        values = base64.b64encode(np.where(reached, shown, UNREACHED).astype("<f4").tobytes()).decode()
+        values = pack_array(np.where(reached, shown, UNREACHED), "<f4")
         about = {"high": one.high, "label": one.label, "marks": one.marks, "goodLast": one.good_last}
         packed.append({"values": values, **about})
     names = {k: one.name for k, one in enumerate(maps)}

@@ -73,7 +73,8 @@ def draw_places(obj: ObjectModel, count: int, rng: np.random.Generator) -> tuple
     Each point is uniformly distributed. STRATUM times as many points are put in an order in which neighbours are near
     each other and face alike. Of each STRATUM successive points, one is taken.
     """
-    points_m, normals = _draw_points(obj, STRATUM * count, rng)
+    points_m, faces = obj.mesh.sample_faces(STRATUM * count, rng)
+    normals = obj.mesh.face_normals[faces]
     low, extent_m = points_m.min(axis=0), obj.mesh.extents_m.max()
     order = _sort_in_space(np.concatenate([(points_m - low) / extent_m, 0.5 + 0.5 * normals], axis=1))
     taken = order.reshape(count, STRATUM)[np.arange(count), rng.integers(STRATUM, size=count)]
@@ -88,17 +89,6 @@ def _sort_in_space(points: Floats) -> NDArray[np.intp]:
         for column in cells.T:
             key = 2 * key + (column >> bit & 1)
     return np.argsort(key, kind="stable")
-
-
-def _draw_points(obj: ObjectModel, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Draw points (count, 3), metres, uniformly over the surface, and the normals (count, 3) there."""
-    triangles_m, areas = obj.mesh.triangles_m, obj.mesh.face_areas
-    faces = rng.choice(len(areas), count, p=areas / areas.sum())
-    a, b = rng.random((2, count, 1))
-    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-    corner, u, v = (triangles_m[faces, k] for k in range(3))
-    across = np.cross(u - corner, v - corner)
-    return corner + a * (u - corner) + b * (v - corner), across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
 def _press_places(

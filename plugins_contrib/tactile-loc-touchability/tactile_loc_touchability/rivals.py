@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tactile_loc import PoseModes, choose_next_touch
 from tactile_loc.plugin import ConfigError, ObjectModel, Poses
-from tactile_loc.plugin.helpers import PoseMetric, axis_angle, invert, rotation_angle
+from tactile_loc.plugin.helpers import (
+    PoseMetric,
+    axis_angle,
+    invert,
+    name_direction,
+    name_line,
+    rotation_angle,
+    spread_points,
+)
 
 from tactile_loc_touchability.study import Study
 from tactile_loc_touchability.words import write_place, write_share
@@ -168,7 +176,7 @@ class AxisTurn:
 
     def name_axis(self, centre_m: Floats) -> str:
         """Return the line in words; its point is left out if it is near the object's centre."""
-        name = name_direction(self.axis * np.sign(self.axis[np.abs(self.axis).argmax()]))
+        name = name_line(self.axis)
         if np.linalg.norm(self.point_m - centre_m) < self.near_m:
             return name
         return f"an axis along {name} through {write_place(self.point_m)} mm"
@@ -214,23 +222,7 @@ def _find_shift(motion: Poses, obj: ObjectModel) -> Floats:
     return np.asarray(motion[:3, :3] @ obj.mesh.centroid_m + motion[:3, 3] - obj.mesh.centroid_m)
 
 
-def name_direction(vector: Floats) -> str:
-    """Return x, y or z for a vector (3,) near an axis of the part, with its sign, or else its direction as numbers."""
-    unit = vector / max(float(np.linalg.norm(vector)), 1e-12)
-    nearest = int(np.abs(unit).argmax())
-    if abs(unit[nearest]) >= ALONG:
-        return f"{'-' if unit[nearest] < 0 else ''}{'xyz'[nearest]}"
-    return "({:z.2f}, {:z.2f}, {:z.2f})".format(*unit)
-
-
 def choose_marks(places_m: Floats, marked: Bools, count: int) -> Sequence[int]:
     """Return at most `count` of the marked places (N, 3), far apart from each other."""
     some = np.flatnonzero(marked)
-    if not len(some):
-        return []
-    chosen = [int(some[0])]
-    far = np.linalg.norm(places_m[some] - places_m[some[0]], axis=1)
-    while len(chosen) < min(count, len(some)) and far.max() > 0:
-        chosen.append(int(some[far.argmax()]))
-        far = np.minimum(far, np.linalg.norm(places_m[some] - places_m[chosen[-1]], axis=1))
-    return chosen
+    return [int(k) for k in some[spread_points(places_m[some], count)]] if len(some) else []

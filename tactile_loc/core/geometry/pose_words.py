@@ -1,4 +1,4 @@
-"""Texts for a pose and its standard deviations, in millimetres and degrees."""
+"""Texts for directions, and for a pose and its standard deviations in millimetres and degrees."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import Floats, axis_angle, format_pose
+
+ALONG = np.cos(np.radians(15.0))  # directions nearer to an axis have its name
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,20 @@ def format_pose_words(T: Floats, std: Floats | None = None) -> PoseWords:
     if std is None:
         return PoseWords(*known)
     return PoseWords(*known, join_numbers(1e3 * std[:3], 2), f"{join_numbers(np.degrees(std[3:]), 1)}°")
+
+
+def name_direction(vector: Floats) -> str:
+    """Return the direction of a vector (3,) as text: x, y, z, -x, -y or -z if it is near that axis, else as numbers."""
+    unit = vector / max(float(np.linalg.norm(vector)), 1e-30)
+    nearest = int(np.abs(unit).argmax())
+    if abs(unit[nearest]) < ALONG:
+        return f"({join_numbers(unit, 2)})"
+    return f"{'-' if unit[nearest] < 0 else ''}{'xyz'[nearest]}"
+
+
+def name_line(vector: Floats) -> str:
+    """Return the name of the line along a vector (3,): that of the direction whose largest coordinate is positive."""
+    return name_direction(vector * np.sign(vector[np.abs(vector).argmax()]))
 
 
 def join_numbers(values: Iterable[float], digits: int) -> str:

@@ -33,6 +33,12 @@ class TriangleMesh:
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
     @cached_property
+    def face_normals(self) -> Floats:
+        """The unit normal (F, 3) of every face, or zero without area."""
+        a, b, c = np.moveaxis(self.triangles_m, 1, 0)
+        return np.asarray(np.cross(b - a, c - a) / np.maximum(2 * self.face_areas[:, None], 1e-30))
+
+    @cached_property
     def vertex_normals(self) -> Floats:
         """The unit normal (V, 3) at each vertex: the area-weighted mean over its faces, or zero without faces."""
         a, b, c = np.moveaxis(self.triangles_m, 1, 0)
@@ -83,10 +89,14 @@ class TriangleMesh:
 
     def sample(self, count: int, rng: np.random.Generator) -> Floats:
         """Draw points (count, 3), metres, uniformly over the surface."""
+        return self.sample_faces(count, rng)[0]
+
+    def sample_faces(self, count: int, rng: np.random.Generator) -> tuple[Floats, Ints]:
+        """Draw points (count, 3), metres, uniformly over the surface, each with the number (count,) of its face."""
         faces = rng.choice(len(self.faces), size=count, p=self.face_areas / self.face_areas.sum())
         a, b, c = np.moveaxis(self.triangles_m[faces], 1, 0)
         r, s = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
-        return (1 - r) * a + r * (1 - s) * b + r * s * c
+        return (1 - r) * a + r * (1 - s) * b + r * s * c, faces
 
     @cached_property
     def digest(self) -> str:

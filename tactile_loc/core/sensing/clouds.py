@@ -67,6 +67,18 @@ def make_interior_cloud(shape: ContactShape, geometry: SensorGeometry) -> tuple[
     return points, np.broadcast_to([0.0, 0.0, -1.0], points.shape), slack_m
 
 
+def spread_points(points: Points, count: int, first: int = 0, least: float = 0.0) -> list[int]:
+    """Return the numbers of at most `count` of the points (N, 3): the `first`, and then the farthest from those chosen.
+
+    No two of them are nearer to each other than `least`, in the unit of the points.
+    """
+    chosen, far = [first], np.linalg.norm(points - points[first], axis=1)
+    while len(chosen) < count and far.max() > least:
+        chosen.append(int(far.argmax()))
+        far = np.minimum(far, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return chosen
+
+
 def find_nearest_contact(contact: Bools) -> tuple[Ints, Ints]:
     """Return the row and the column (H, W) of the pixel in contact nearest to each pixel, given contact (H, W).
 

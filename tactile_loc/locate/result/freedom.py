@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tactile_loc.core.geometry.lie import move_covariance
+from tactile_loc.core.geometry.pose_words import name_line
 from tactile_loc.core.geometry.rigid import Bools, Floats, Poses, axis_angle, invert, transform_points
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.tolerance import ONE_MILLIMETRE, Tolerance
@@ -24,7 +25,6 @@ AS_WELL = 0.02  # a pose explains the touches as well as another if its imprint 
 MISPLACED = 0.02
 SMALL_TURN_RAD = np.radians(5.0)  # smaller turns are not mentioned
 WIDE = 2.0  # standard deviations: 95 % of the errors along one direction are smaller
-ALONG = np.cos(np.radians(15.0))  # directions nearer to an axis have its name
 NOTHING = np.zeros(3)
 
 FREEDOM: Keys = {
@@ -70,9 +70,10 @@ class Freedom:
             more = f", and {self.others - 1} other listed poses do" if self.others > 1 else ""
             said.append(f"{self._describe_other()}, it fits as well{more}")
         if self.slide_m.any():
-            said.append(f"it may slide up to {_name_length(self.slide_m)} along {_name_direction(self.slide_m)}")
+            along = f"{name_line(self.slide_m)} of the object"
+            said.append(f"it may slide up to {_name_length(self.slide_m)} along {along}")
         if self.turn_rad.any():
-            said.append(f"it may turn up to {_name_angle(self.turn_rad)} about {_name_direction(self.turn_rad)}")
+            said.append(f"it may turn up to {_name_turn(self.turn_rad)}")
         if said and self.contact_std_m is not None and not self.others and not self.slide_m.any():
             said.insert(0, f"position at the contact within {format_mm(WIDE * self.contact_std_m)} mm")
         return "; ".join(said)
@@ -86,7 +87,7 @@ class Freedom:
         if self.other_shift_m.any():
             moved.append(f"moved by {_name_length(self.other_shift_m)}")
         if self.other_turn_rad.any():
-            moved.append(f"turned by {_name_angle(self.other_turn_rad)} about {_name_direction(self.other_turn_rad)}")
+            moved.append(f"turned by {_name_turn(self.other_turn_rad)}")
         return " and ".join(moved) or "moved a little"
 
 
@@ -160,8 +161,8 @@ def _name_length(vector: Floats) -> str:
     return f"{1e3 * np.linalg.norm(vector):.1f} mm"
 
 
-def _name_angle(vector: Floats) -> str:
-    return f"{np.degrees(np.linalg.norm(vector)):.0f} degrees"
+def _name_turn(vector: Floats) -> str:
+    return f"{np.degrees(np.linalg.norm(vector)):.0f} degrees about {name_line(vector)} of the object"
 
 
 def _find_widest(covariance: Floats) -> Floats:
@@ -179,12 +180,3 @@ def _find_longest(vectors: list[Floats], least: float) -> Floats:
     """Return the longest vector (3,), or zeros if none is longer than `least`."""
     longest = max(vectors, key=lambda v: float(np.linalg.norm(v)), default=NOTHING)
     return longest if np.linalg.norm(longest) > least else NOTHING
-
-
-def _name_direction(vector: Floats) -> str:
-    """Return x, y or z of the object for a vector (3,) near an axis, and else its direction as three numbers."""
-    unit = vector / np.linalg.norm(vector)
-    nearest = int(np.abs(unit).argmax())
-    if abs(unit[nearest]) >= ALONG:
-        return f"{'xyz'[nearest]} of the object"
-    return "({:z.2f}, {:z.2f}, {:z.2f}) of the object".format(*(unit * np.sign(unit[nearest])))

@@ -1,6 +1,5 @@
 """A result as HTML, the form in which notebooks display it: the verdict, the touches, and a table of hypotheses."""
 
-import base64
 import html
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +11,7 @@ from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.scene import View
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch
-from tactile_loc.io.images import encode_png
+from tactile_loc.io.images import encode_png, make_png_url
 from tactile_loc.io.shape_pictures import OUTLINE, paint_shape, read_colour
 from tactile_loc.locate.result.hypothesis import Hypothesis
 from tactile_loc.locate.result.verdict import Verdict
@@ -97,8 +96,7 @@ def _draw(shape: ContactShape, geometry: SensorGeometry, observed: Bools) -> str
     """Return an image element of a contact shape (H, W), with the outline of the observed contact (H, W)."""
     picture = paint_shape(shape, geometry)
     picture[_find_outline(observed)] = read_colour(OUTLINE)
-    png = base64.b64encode(encode_png(picture)).decode()
-    return f'<img alt="contact shape" width="{SIDE_PX}" src="data:image/png;base64,{png}">'
+    return f'<img alt="contact shape" width="{SIDE_PX}" src="{make_png_url(encode_png(picture))}">'
 
 
 def _find_outline(contact: Bools) -> Bools:

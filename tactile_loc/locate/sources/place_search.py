@@ -22,6 +22,7 @@ from tactile_loc.core.poses.priors import Prior, list_peaks
 from tactile_loc.core.registration.joint_registration import JointRegistration, RegistrationOptions
 from tactile_loc.core.registration.prior_factors import PriorFactors, draw_around, fit_prior_factors
 from tactile_loc.core.runtime.progress import StageTimes
+from tactile_loc.core.sensing.clouds import spread_points
 from tactile_loc.core.sensing.scene import NATS_PER_IOU, View
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.hypotheses import compute_imprint_ious
@@ -237,12 +238,8 @@ def spread_anchors(touch: Touch, count: int) -> NDArray[np.float64]:
     geometry, shape = touch.geometry, touch.contact_shape
     points = geometry.backproject(np.broadcast_to(geometry.full_penetration_m, geometry.shape))
     inside = points[shape.contact & geometry.observed_mask]
-    chosen = [inside[np.linalg.norm(inside - inside.mean(axis=0), axis=1).argmin()]]
-    far = np.linalg.norm(inside - chosen[0], axis=1)
-    while len(chosen) < count and far.max() > LEAST_APART_M:
-        chosen.append(inside[far.argmax()])
-        far = np.minimum(far, np.linalg.norm(inside - chosen[-1], axis=1))
-    return np.array(chosen)
+    middle = int(np.linalg.norm(inside - inside.mean(axis=0), axis=1).argmin())
+    return np.asarray(inside[spread_points(inside, count, middle, LEAST_APART_M)])
 
 
 def encode_rotated(

@@ -4,7 +4,7 @@ from message_helpers import naming
 from scipy.spatial.transform import Rotation
 
 from tactile_loc.core.geometry.lie import move_covariance, rotate_covariance
-from tactile_loc.core.geometry.pose_words import format_pose_words
+from tactile_loc.core.geometry.pose_words import format_pose_words, name_direction, name_line
 from tactile_loc.core.geometry.rigid import (
     align_to_z,
     axis_angle,
@@ -197,6 +197,14 @@ def test_small_negative_numbers_are_written_as_zero():
     T = make_transform(rotation_about([1e-9, -1e-9, 1], 0.5), [-1e-9, 0.001, -2e-6])
     assert format_pose(T) == ["0.00", "1.00", "0.00", "28.6", "(0.000, 0.000, 1.000)"]
     assert format_pose_words(T).place == "0.0, 1.0, 0.0"
+
+
+@pytest.mark.parametrize(
+    ("vector", "direction", "line"),
+    [([0, 0, -3], "-z", "z"), ([0.2, 2, 0], "y", "y"), ([-1, 1e-9, -2], "(-0.45, 0.00, -0.89)", "(0.45, 0.00, 0.89)")],
+)
+def test_a_direction_has_a_sign_and_a_line_has_none(vector, direction, line):
+    assert (name_direction(np.array(vector, float)), name_line(np.array(vector, float))) == (direction, line)
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-12, 1e-6, 0.3, 2.0, np.pi - 1e-9, np.pi])

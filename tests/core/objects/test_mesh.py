@@ -49,6 +49,13 @@ def test_samples_lie_on_the_surface_and_have_its_moments(box_mesh):
     np.testing.assert_allclose(np.cov(points.T), box_mesh.covariance_m2, atol=0.01 * box_mesh.covariance_m2.max())
 
 
+def test_samples_lie_on_their_faces_whose_normals_point_outwards(box_mesh):
+    points, faces = box_mesh.sample_faces(500, np.random.default_rng(0))
+    outwards = (np.abs(points - SHIFT) / (SIDES / 2)).argmax(axis=1)
+    expected = np.sign(points - SHIFT) * np.eye(3)[outwards]
+    np.testing.assert_allclose(box_mesh.face_normals[faces], expected, atol=1e-12)
+
+
 def test_the_digest_changes_only_with_the_surface(box_mesh):
     same = TriangleMesh(np.asfortranarray(box_mesh.vertices_m), box_mesh.faces.astype(np.int32))
     assert same.digest == box_mesh.digest

@@ -13,6 +13,7 @@ from tactile_loc.core.sensing.clouds import (
     find_nearest_contact,
     make_contact_cloud,
     make_outline_cloud,
+    spread_points,
 )
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, compute_contact_depth
@@ -166,3 +167,9 @@ def test_nearest_contact_is_as_near_as_in_a_distance_transform(share):
 def test_nearest_contact_needs_contact():
     with pytest.raises(ValueError, match="contact"):
         find_nearest_contact(np.zeros((4, 5), bool))
+
+
+def test_spread_points_are_farthest_from_those_before_and_not_too_near():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [10, 0, 0], [4, 0, 0]])
+    assert spread_points(points, 3) == [0, 2, 3]
+    assert spread_points(points, 9, first=2, least=1.0) == [2, 0, 3]

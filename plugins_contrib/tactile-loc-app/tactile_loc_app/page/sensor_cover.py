@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from typing import TYPE_CHECKING
 
 from tactile_loc import Palette
+from tactile_loc.commands import make_png_url
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,8 +40,7 @@ class SensorCover:
         """Show a figure."""
         file = io.BytesIO()
         figure.savefig(file, dpi=DPI, format="png")
-        data = base64.b64encode(file.getvalue()).decode()
-        self._handle.content = self._cover(f'<img alt="a reading" src="data:image/png;base64,{data}">')
+        self._handle.content = self._cover(f'<img alt="a reading" src="{make_png_url(file.getvalue())}">')
 
     @staticmethod
     def _cover(inside: str) -> str:
