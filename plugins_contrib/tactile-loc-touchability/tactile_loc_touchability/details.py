@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tactile_loc.commands import format_count
 from tactile_loc.plugin import Progress
 
 from tactile_loc_touchability.features import FeatureError, TriedFeature, try_features
@@ -54,25 +55,19 @@ def give_answer(found: Findings) -> str:
     shares = {row["touches"]: row["certain"] for row in found.study.list_shares()}
     enough = next((n for n, share in sorted(shares.items()) if share >= USUALLY), None)
     best = next((one for one in found.best if one.shares["certain"] >= USUALLY), None)
-    if enough:
-        said = (
-            f"{_count(enough)} at random places usually determine the pose"
-            if enough > 1
-            else ("one touch at a random place usually determines the pose")
-        )
+    if enough == 1:
+        said = "one touch at a random place usually determines the pose"
+    elif enough:
+        said = f"{enough} touches at random places usually determine the pose"
     elif best:
-        share = write_share(best.shares["certain"])
-        said = f"{_count(len(best.presses))} at the best places determined the pose in {share} of the simulated sets; "
-        said += f"at random places, {_count(max(shares))} did in {write_share(max(shares.values()))}"
-    else:
-        most = max([*shares.values(), *(one.shares["certain"] for one in found.best)])
+        share, most = write_share(best.shares["certain"]), max(shares)
         said = (
-            "up to three touches seldom determine the pose"
-            if most < SELDOM
-            else (f"up to three touches determine the pose in at most {write_share(most)} of the cases")
+            f"{format_count(len(best.presses), 'touch')} at the best places determined the pose in {share} of the "
+            f"simulated sets; at random places, {format_count(most, 'touch')} did in {write_share(shares[most])}"
         )
+    else:
+        highest = max([*shares.values(), *(one.shares["certain"] for one in found.best)])
+        said = f"up to three touches determine the pose in at most {write_share(highest)} of the cases"
+        if highest < SELDOM:
+            said = "up to three touches seldom determine the pose"
     return f"{found.study.name}: {said}."
-
-
-def _count(touches: int) -> str:
-    return "one touch" if touches == 1 else f"{touches} touches"

@@ -178,7 +178,7 @@ def list_numbers(study: Study) -> list[tuple[str, str, str]]:
     """Return the main numbers: the shares that end certain, by the number of touches."""
     numbers = [
         (
-            f"certain after {one['touches']}",
+            f"certain after {format_count(one['touches'], 'touch')}",
             write_share(one["certain"]),
             f"of {one['sets']} {'touches' if one['touches'] == 1 else 'sets of touches'} at random places; "
             f"{write_share(one['right'])} within 1 mm",

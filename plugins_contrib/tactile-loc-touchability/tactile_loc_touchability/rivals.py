@@ -42,6 +42,8 @@ SMALL_TURN_RAD, ALONG = np.radians(8.0), np.cos(np.radians(15.0))
 SHIFTED = 0.05  # shares of the diameter: a smaller shift along the axis does not count,
 FAR, NEAR_LINES = 2.0, 0.1  # a line is no axis if it is farther off, and lines that are nearer are one
 PARTS_OF_TURN = (2, 3, 4, 5, 6, 8)
+SMALL_PART_DEG = 45  # a smaller turn that touches confuse is one along a round surface
+LOOK_ALIKE = "places of the part look alike"
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,14 +209,14 @@ def describe_motions(motions: Poses, obj: ObjectModel, diameter_m: float) -> tup
         listed = " or ".join(filter(None, (", ".join(map(str, angles[:-1])), str(angles[-1]))))
         whole = [n for n in PARTS_OF_TURN if all(abs(a - round(a * n / 360) * 360 / n) < OFF_DEG for a in angles)]
         same = f"these places look alike after 1/{whole[0]} of a turn" if whole else ""
-        name = turns[0].name_axis(obj.mesh.centroid_m)
-        return f"turned by {listed} degrees about {name}", same or "these places are nearly round about this axis"
+        alike = "these places are nearly round about this axis" if angles[0] < SMALL_PART_DEG else LOOK_ALIKE
+        return f"turned by {listed} degrees about {turns[0].name_axis(obj.mesh.centroid_m)}", same or alike
     shift, R = _find_shift(motions[0], obj), motions[0, :3, :3]
     moved = f"moved by {1e3 * np.linalg.norm(shift):.1f} mm along {name_direction(shift)}"
     if rotation_angle(R) < SMALL_TURN_RAD:
         return moved, "these places look alike along this direction"
     turned = f"turned by {np.degrees(rotation_angle(R)):.0f} degrees about {name_direction(axis_angle(R)[1])}"
-    return f"{turned} and {moved}", "two places of the part look alike"
+    return f"{turned} and {moved}", LOOK_ALIKE
 
 
 def _find_shift(motion: Poses, obj: ObjectModel) -> Floats:

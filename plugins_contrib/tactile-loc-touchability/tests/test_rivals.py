@@ -30,14 +30,19 @@ def shift(x_mm: float) -> np.ndarray:
         (HALF_TURN, "turned by 180 degrees about z", "these places look alike after 1/2 of a turn"),
         (shift(-4), "moved by 4.0 mm along -x", "these places look alike along this direction"),
         (
+            make_transform(rotation_about([0, 1, 0], np.radians(20)), np.zeros(3)),
+            "turned by 20 degrees about y",
+            "these places are nearly round about this axis",
+        ),
+        (
             make_transform(rotation_about([0, 1, 0], np.radians(100)), np.zeros(3)),
             "turned by 100 degrees about y",
-            "these places are nearly round about this axis",
+            "places of the part look alike",
         ),
         (
             make_transform(rotation_about([0, 0, 1], np.radians(50)), np.array([0, 0, 5e-3])),
             "turned by 50 degrees about z and moved by 5.0 mm along z",
-            "two places of the part look alike",
+            "places of the part look alike",
         ),
     ],
 )
