@@ -104,11 +104,19 @@ def _locate(result: Path | None, given: RunOptions, store: Path | None) -> Local
 
     from tactile_loc_inspect.inspection import InspectionError
 
-    if (result is None) == (given.touch is None):
-        raise InspectionError(
-            "inspection needs touches from one source; give either the folder that run wrote, or --object and --touch"
-        )
+    if result is None and given.touch is None:
+        raise InspectionError("inspection needs touches; give the folder that run wrote, or --object and --touch")
     if result is not None:
+        if given != RunOptions():
+            raise InspectionError(
+                f"{result} states the part, the touches and the sensor; leave out the other options, or give --object "
+                "and --touch instead of it"
+            )
+        if not (result / "result.json" if result.is_dir() else result).is_file() or result.suffix == ".toml":
+            raise InspectionError(
+                f"{result} is not the folder of a result; give the folder that run wrote, or a list of touches as "
+                "--touch, with --object"
+            )
         return Localization.load(result)
     if given.object is None and given.config is None:
         raise InspectionError("--touch does not state which part was touched; give --object FILE or a demo object")
@@ -119,10 +127,11 @@ def _locate(result: Path | None, given: RunOptions, store: Path | None) -> Local
 def _say(found: Inspection) -> None:
     """Show the verdict, the differences and what they mean for the pose."""
     say(found.describe())
+    touches = format_count(len(found.comparisons), "touch")
     for number, one in enumerate(found.differences, 1):
-        say(f"{number}. {one.describe()}; {format_count(one.touches, 'touch')} of {len(found.comparisons)} show it")
+        say(f"{number}. {one.describe()}; shown by {one.touches} of {touches}")
         if one.against:
-            say(f"   {format_count(one.against, 'touch')} show the opposite: check the sensor poses, and touch again")
+            say(f"   {one.against} of {touches} found the opposite: check the sensor poses, and touch again")
     for one in found.unconfirmed:
         say(f"unconfirmed, seen by one touch: {one.describe()}; touch there again")
     for line in found.list_notes():
@@ -165,4 +174,4 @@ def make_inspection_page(found: Inspection, located: Localization, picture: Path
         Section("drawing", "Differences", {"picture": make_png_url(picture.read_bytes()), "caption": CAPTION}),
         Section("rows", "List", {"header": header, "rows": rows, "left": 1, "note": note, "label": "differences"}),
     ]
-    return Page("tasks", f"inspection of {found.object.name}: {found.verdict}", f"touches: {names}", sections, {}, [])
+    return Page("tasks", f"Inspection of {found.object.name}: {found.verdict}", f"touches: {names}", sections, {}, [])

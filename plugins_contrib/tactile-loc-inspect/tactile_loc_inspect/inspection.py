@@ -172,14 +172,17 @@ class Inspection:
         where = f"; the touches show {100 * self.touched:.1f} % of the surface"
         if self.better is not None:
             return f"pose {self.better} explains the touches better, so no difference is reported{where}"
+        width = 1e3 * WIDTH * SIZES_M[STATED_SIZE]
         if self.verdict == "not enough touches":
+            if self.limits.touches == 1:
+                return f"not enough touches: no contact is wide enough to find differences {width:.1f} mm wide"
             return (
                 f"not enough touches: the reading has noise, so {self.limits.touches} touches must show the same place"
             )
         if not self.differences:
-            width = 1e3 * WIDTH * SIZES_M[STATED_SIZE]
             within = f"{1e3 * self.detectable_m:.2f} mm at the touched places (differences {width:.1f} mm wide)"
-            return f"as the model, within {within}{where}"
+            more = f"; unconfirmed differences: {len(self.unconfirmed)}" if self.unconfirmed else ""
+            return f"as the model, within {within}{where}{more}"
         return f"differs here: {self.differences[0].describe()}{where}"
 
 
@@ -206,7 +209,7 @@ def inspect_part(
         tuple(enough),
         tuple(one for one in listed if not limits.are_met(one)),
         (limits.ratio + FOUND_SHARE) * float(np.quantile(std, 0.95)) if len(std) else np.inf,
-        min(1.0, float(found.areas_m2[found.touches >= limits.touches].sum() / obj.mesh.face_areas.sum())),
+        min(1.0, float(found.areas_m2[shown].sum() / obj.mesh.face_areas.sum())),
         max(measure_motion(obj, fit_plain_pose(view, one.T), one.T) for view, one in pairs) if enough else 0.0,
         max(measure_motion(obj, T, one.T) for T, one in zip(poses, comparisons, strict=True)),
         float((np.abs(found.ratios[1]) > limits.ratio).mean()),

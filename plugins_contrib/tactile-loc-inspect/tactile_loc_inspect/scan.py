@@ -33,8 +33,9 @@ class SurfaceMap:
 
     `points_m` and `normals` (N, 3) are in the object's frame, and `areas_m2` (N,) are the areas that the places stand
     for. For K sizes of blobs, `heights_m` (K, N) are heights along the normal, positive for material that the model
-    lacks, and `std_m` (K, N) their standard deviations. `support` (K, N) counts the touches that alone show the
-    difference, `against` (K, N) those that alone show the opposite, and `touches` (N,) those that show the place.
+    lacks, and `std_m` (K, N) their standard deviations, infinite where no touch shows such a blob. `support` (K, N)
+    counts the touches that alone show the difference, `against` (K, N) those that alone show the opposite, and
+    `touches` (N,) those that show the place.
     """
 
     points_m: Floats
@@ -73,7 +74,8 @@ def map_differences(comparisons: Sequence[Comparison]) -> SurfaceMap:
         bounds[shown] |= (found.missed | found.extra)[rows, columns][shown]
     weights = 1 / variances
     total = np.maximum(weights.sum(axis=0), 1e-30)
-    pooled, std = (heights * weights).sum(axis=0) / total, 1 / np.sqrt(total)
+    pooled = (heights * weights).sum(axis=0) / total
+    std = np.where(np.isfinite(variances).any(axis=0), 1 / np.sqrt(total), np.inf)
     alone = heights * np.sqrt(weights) * np.sign(pooled)
     counted = np.maximum(np.isfinite(variances[:, 1]).sum(axis=0), 1)
     return SurfaceMap(

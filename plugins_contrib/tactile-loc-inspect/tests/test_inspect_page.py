@@ -38,8 +38,21 @@ def test_the_readmes_program_runs(monkeypatch, store_folder, capsys):
     assert capsys.readouterr().out.startswith("as the model, within ")
 
 
-@pytest.mark.parametrize("words", [(), ("result", "--touch", "touch.npz"), ("--touch", "touch.npz")])
+@pytest.mark.parametrize(
+    "words",
+    [
+        (),
+        ("result", "--touch", "touch.npz"),
+        ("result", "--units", "m"),
+        ("--touch", "touch.npz"),
+        ("none",),
+        ("folder",),
+        ("folder/touches.toml",),
+    ],
+)
 def test_touches_come_from_one_source_and_need_their_part(cli, words):
+    Path("folder").mkdir()
+    Path("folder", "touches.toml").write_text("[[touch]]\n")
     done = cli("inspect", *words)
     assert_one_error(done.stderr, done.exit_code)
     said = cli("inspect", *words, "--json")

@@ -79,6 +79,17 @@ def test_the_map_holds_the_touched_surface_only(clean_views):
     assert found.areas_m2.sum() == pytest.approx(30e-6, rel=0.3)
 
 
+def test_the_limit_counts_no_places_that_are_too_narrow_for_its_blob(clean_views):
+    (one,) = compare_touches(clean_views[:1], misplace(clean_views[:1]))
+    strip = np.zeros(one.geometry.shape, bool)
+    strip[:, 58:62] = True  # 0.5 mm wide
+    narrow = replace(one, differences=replace(one.differences, known=one.differences.known & strip))
+    found = map_differences([narrow])
+    assert np.isfinite(found.std_m[0]).all()
+    assert (np.isinf(found.std_m) | (found.std_m < 1e-3)).all()
+    assert np.isinf(found.std_m[-1]).any()
+
+
 def test_an_uncertain_result_is_refused(located_uncertain):
     with pytest.raises(InspectionError):
         inspect_localization(located_uncertain)
