@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from tactile_loc_touchability.details import Findings
     from tactile_loc_touchability.study import SensorSetup, Study
 
+NOISE = "mild"  # of the touches, if none is given
 DEFAULT_OUT, PAGE = Path("touchability"), "report.html"
 SAID = {"certain": "certain", "right": "within 1 mm"}
 
@@ -52,10 +53,22 @@ Sets = Annotated[int, declare("--sets N", "Simulated sets of two touches, and of
 Tilt = Annotated[
     float, declare("--tilt DEG", "Largest angle between a press and the surface's normal.", min=0.0, max=80.0)
 ]
-Noise = Annotated[str, declare("--noise NAME", "Noise of the touches: none, mild or strong.")]
 Out = Annotated[Path, declare("--out FOLDER", "Folder of touchability.json, report.html, and rows to resume from.")]
 Given = Annotated[
-    RunOptions, Takes("units", "symmetry", "grid", "renderer", "encoder", "matcher", "refiner", "option", "seed")
+    RunOptions,
+    Takes(
+        "units",
+        "symmetry",
+        "grid",
+        "renderer",
+        "encoder",
+        "matcher",
+        "refiner",
+        "option",
+        "seed",
+        "noise",
+        noise=f"Noise of the touches. Default: {NOISE}.",
+    ),
 ]
 Body = Annotated[Obstacles, Takes("finger")]
 Workers = Annotated[WorkerOptions, Takes("workers", "threads")]
@@ -71,7 +84,6 @@ def touchability(
     touches: Touches = 400,
     sets: Sets = 40,
     tilt: Tilt = 30.0,
-    noise: Noise = "mild",
     workers: Workers,
     out: Out = DEFAULT_OUT,
     store: Store = None,
@@ -92,7 +104,7 @@ def touchability(
     progress = make_progress()
     setups = list_setups(part, given, sensor, press_depth, obstacles, store)
     renderer = setups[0].localizer.config.renderer.name
-    options = StudyOptions(touches, sets, float(np.radians(tilt)), noise, renderer, given.seed or 0)
+    options = StudyOptions(touches, sets, float(np.radians(tilt)), given.noise or NOISE, renderer, given.seed or 0)
     studies = run_studies(setups, options, out, workers.choose(out), progress)
     say_studies(studies)
     found = find_details(studies, out, workers.choose(out), progress)
@@ -117,7 +129,7 @@ def list_setups(
     setups: list[SensorSetup] = []
     names: list[str | None] = [*sensors] if sensors else [None]
     for name in names:
-        config = make_config(replace(given, object=part, sensor=name))
+        config = make_config(replace(given, object=part, sensor=name, noise=None))
         localizer = open_localizer(config, store, setups[0].localizer.object if setups else None)
         clearance = obstacles.find_clearance(localizer.scene.geometry, in_base=True)
         deepest_mm = 1e3 * localizer.scene.geometry.max_depth_m
