@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from tactile_loc.plugin import ConfigError, MissingLibraryError
 
 from tactile_loc_app.access import Access
-from tactile_loc_app.index_page import brand_page, read_visit
+from tactile_loc_app.index_page import Visit, brand_page
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -77,11 +77,11 @@ def start_viser(host: str, port: int, access: Access) -> ViserServer:
     return server
 
 
-def find_visit(server: ViserServer, client_id: int) -> str:
-    """Return the number of a visitor's visit, or "" if its browser gave none."""
+def find_visit(server: ViserServer, client_id: int) -> Visit:
+    """Return what a visitor's browser states about its visit."""
     connections: dict[int, Any] = getattr(server._websock_server, "_live_connections", {})
     request = getattr(connections.get(client_id), "request", None)
-    return "" if request is None else read_visit(request.path)
+    return Visit() if request is None else Visit.read(request.path)
 
 
 def _log_failure(loop: Any, context: dict[str, Any]) -> None:

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import gzip
 import re
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Self
 from urllib.parse import parse_qs
 
 _VISIT = re.compile(r"[0-9a-f]{32}")
@@ -35,7 +37,16 @@ def brand_page(page: bytes, is_gzipped: bool) -> bytes:
     return gzip.compress(branded) if is_gzipped else branded
 
 
-def read_visit(path: str) -> str:
-    """Return the number of a visit in the path of a request, or ""."""
-    (visit,) = parse_qs(path.partition("?")[2]).get("visit", [""])[:1]
-    return visit if _VISIT.fullmatch(visit) else ""
+@dataclass(frozen=True)
+class Visit:
+    """What a browser states about its visit: its number, or "", and whether it loads the page again in the same tab."""
+
+    number: str = ""
+    is_again: bool = False
+
+    @classmethod
+    def read(cls, path: str) -> Self:
+        """Return the visit that the path of a request states."""
+        asked = parse_qs(path.partition("?")[2])
+        (number,) = asked.get("visit", [""])[:1]
+        return cls(number if _VISIT.fullmatch(number) else "", "again" in asked)

@@ -16,6 +16,7 @@ from tactile_loc.plugin import ConfigError
 
 from tactile_loc_app.access import Access
 from tactile_loc_app.guarded_viser import find_visit, require_viser, start_viser
+from tactile_loc_app.index_page import Visit
 from tactile_loc_app.session import Session
 from tactile_loc_app.shared_localizers import SharedLocalizers
 
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 
 HOST, PORT = "127.0.0.1", 8080
 KEPT_S, MOST_KEPT = 900.0, 8  # time for which the session of a visitor who left is kept, and number of such sessions
-RELOAD_S = 2.0  # time within which a browser that loads the page again ends its earlier connection
+RELOAD_S = 30.0  # time within which a browser that loads the page again ends its earlier connection
+MOVE_S = 2.0  # the same for a browser that opens the page's address; a second tab waits so long for its session
 
 
 class AppServer:
@@ -78,18 +80,18 @@ class AppServer:
         visit = find_visit(self._server, client.client_id)
         page = VisitorPage(client, self._find_session(visit))
         with self._lock:
-            self.pages[client.client_id], self._visits[client.client_id] = page, visit
+            self.pages[client.client_id], self._visits[client.client_id] = page, visit.number
         if not self._is_here(client):  # left meanwhile, and maybe before the page was known
             self._leave(client)
 
-    def _find_session(self, visit: str) -> Session:
+    def _find_session(self, visit: Visit) -> Session:
         """Return the session that a visit left, or a new one. A visit that goes on in another tab is not shared."""
-        end_s = time.monotonic() + RELOAD_S
-        while visit:
+        end_s = time.monotonic() + (RELOAD_S if visit.is_again else MOVE_S)
+        while visit.number:
             with self._lock:
-                if visit in self._kept:
-                    return self._kept.pop(visit)[0]
-                is_open = visit in self._visits.values()
+                if visit.number in self._kept:
+                    return self._kept.pop(visit.number)[0]
+                is_open = visit.number in self._visits.values()
             if not is_open or time.monotonic() > end_s:
                 break
             time.sleep(0.05)

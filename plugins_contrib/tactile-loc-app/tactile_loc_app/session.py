@@ -288,12 +288,15 @@ class Session:
         return view.touch.contact_shape, ContactShape(depth_m, view.touch.press_depth_m), view.touch.geometry
 
     def suggest_next(self) -> RatedApproach:
-        """Return the approach, of some around the object, that tells most about its pose.
+        """Return the approach, of some around the object, that tells most about its pose, and touches it.
 
-        Raises AppError without a result, and ConfigError if no approach is within reach.
+        If all of them miss the object, it is the first one. Raises AppError without a result, and ConfigError if no
+        approach is within reach.
         """
         modes = PoseModes.of(self.require_result())
-        return choose_next_touch(modes, draw_approaches_to_modes(modes, APPROACHES, self.rng)).best
+        ranked = choose_next_touch(modes, draw_approaches_to_modes(modes, APPROACHES, self.rng)).ranked
+        pressed = ((one, press_finger(self.scene, one.approach.T_base_sensor, self.press_depth_m)) for one in ranked)
+        return next((one for one, press in pressed if press.touches), ranked[0])
 
 
 def place_at_edge(obj: ObjectModel, scene: Scene) -> Pose:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 from tactile_loc import Localizer, Palette, localize_together
 
-from tactile_loc_app.index_page import brand_page, read_visit
+from tactile_loc_app.index_page import Visit, brand_page
 from tactile_loc_app.page.overlay import Overlay, describe_verdict, write_seconds
 
 
@@ -55,8 +55,9 @@ def test_a_text_is_shown_literally(overlay):
 
 def test_a_visit_has_a_number_and_the_page_a_title():
     name = "0123456789abcdef" * 2
-    assert read_visit(f"/?token=x&visit={name}") == name
-    assert [read_visit(path) for path in ("/", "/?visit=", f"/?visit={name}0", "/?visit=../x")] == [""] * 4
+    assert Visit.read(f"/?token=x&visit={name}") == Visit(name)
+    assert Visit.read(f"/?visit={name}&again=1") == Visit(name, is_again=True)
+    assert {Visit.read(path) for path in ("/", "/?visit=", f"/?visit={name}0", "/?visit=../x")} == {Visit()}
     page = b'<link rel="icon" href="data:image/svg+xml,old"/><title>Viser</title>'
     branded = brand_page(page, False).decode()
     assert "<title>tactile-loc</title>" in branded

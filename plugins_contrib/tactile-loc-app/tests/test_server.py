@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from select import select
 from socket import SO_RCVBUF, SOL_SOCKET
@@ -168,6 +168,21 @@ def test_a_visit_that_is_loaded_again_keeps_its_session_and_two_tabs_stay_apart(
     wait_until(lambda: not server.pages and not fresh.session.folder.exists())
     server.forget_left(0.0)
     assert not first.session.folder.exists()
+
+
+def test_a_page_that_is_loaded_again_waits_for_its_earlier_connection(server, port, monkeypatch):
+    monkeypatch.setattr("tactile_loc_app.server.MOVE_S", 0.0)
+    name = "fedcba9876543210" * 2
+    with ExitStack() as later:
+        with visit(port, f"/?visit={name}"):
+            (first,) = wait_until(lambda: list(server.pages.values()))
+            later.enter_context(visit(port, f"/?visit={name}&again=1"))
+            wait_until(lambda: len(server._server.get_clients()) == 2)
+            assert list(server.pages.values()) == [first]
+        (again,) = wait_until(lambda: [page for page in server.pages.values() if page is not first])
+        assert again.session is first.session
+    wait_until(lambda: not server.pages)
+    server.forget_left(0.0)
 
 
 def test_visitors_who_leave_at_once_leave_nothing(server, port):

@@ -1,8 +1,10 @@
 """The state behind the page: objects, presses, touches, results, and the independence of two visitors."""
 
+import dataclasses
 import json
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -115,6 +117,16 @@ def test_nothing_is_located_without_a_touch(session):
         session.locate()
     with pytest.raises(AppError):
         session.suggest_next()
+
+
+def test_a_better_touch_that_misses_the_object_is_not_suggested(located, monkeypatch):
+    good = located.suggest_next()
+    away = dataclasses.replace(good.approach, T_base_sensor=make_translation([1, 0, 0]) @ good.approach.T_base_sensor)
+    ranked = dataclasses.replace(good, approach=away), good, dataclasses.replace(good)
+    monkeypatch.setattr("tactile_loc_app.session.choose_next_touch", lambda *_: SimpleNamespace(ranked=ranked))
+    assert located.suggest_next() is ranked[1]
+    monkeypatch.setattr("tactile_loc_app.session.choose_next_touch", lambda *_: SimpleNamespace(ranked=ranked[:1]))
+    assert located.suggest_next() is ranked[0]
 
 
 def test_two_sessions_do_not_disturb_each_other_but_share_a_localizer(located, localizers):

@@ -7,7 +7,9 @@
   }
   const write = () => history.replaceState(null, "", "?" + asked.toString());
   const scheme = location.protocol === "https:" ? "wss://" : "ws://";
-  asked.set("websocket", scheme + location.host + "/?visit=" + asked.get("visit"));
+  const [opened] = performance.getEntriesByType("navigation");
+  const again = opened && opened.type === "reload" ? "&again=1" : ""; // not set in a second tab
+  asked.set("websocket", scheme + location.host + "/?visit=" + asked.get("visit") + again);
   write(); // where viser looks for its server
   asked.delete("websocket");
   asked.delete("token"); // the browser keeps it as a cookie

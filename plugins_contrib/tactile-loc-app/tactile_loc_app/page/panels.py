@@ -194,6 +194,7 @@ class VisitorPage:
         gui = self.client.gui
         with gui.add_folder("Finger and touches"):
             Paragraph(self.client, "Drag the arrows and rings. The finger moves along its axis onto the object.")
+            self.finger_on = gui.add_checkbox("Show the finger", initial_value=True)
             self.depth = gui.add_slider("Press (mm)", 0.05, 2.0, 0.01, 0.5)
             self.shape = gui.add_image(EMPTY, label="Contact shape")
             self.noise = gui.add_dropdown("Noise", get_args(NoiseLevel), initial_value="none")
@@ -201,9 +202,15 @@ class VisitorPage:
             self.chosen_touch = gui.add_dropdown("Touch", (NO_TOUCH,), visible=False)
             self.remove = gui.add_button("Remove this touch", visible=False, **PLAIN)
             self.clear = gui.add_button("Remove all touches", visible=False, **PLAIN)
+        self.finger_on.on_update(self.notices.guard(lambda: self.view.show_finger(self.finger_on.value)))
         self.depth.on_update(self.notices.guard(self._ask_press))
         self.remove.on_click(self.notices.guard(self._remove_touch))
         self.clear.on_click(self.notices.guard(self._clear_touches))
+
+    def _show_finger(self, shown: bool) -> None:
+        """Show the finger with its arrows and rings, or hide them from a result."""
+        self.finger_on.value = shown
+        self.view.show_finger(shown)
 
     def _follow_drag(self, event: Any) -> None:
         self.notices.attempt(self._settle if event.phase == "end" else self._ask_press)
@@ -238,6 +245,7 @@ class VisitorPage:
 
     def _add_touch(self) -> None:
         geometry = self.session.scene.geometry
+        self._show_finger(True)
         self.session.press(self.view.read_finger(geometry), self._read_depth_m())
         self.session.add_touch(self.noise.value)
         self._show_touches()
@@ -313,6 +321,7 @@ class VisitorPage:
             handle.visible = True
         self.next.disabled = self.export.disabled = False
         self.next.color = "gray" if found.verdict == "certain" else BRAND
+        self._show_finger(found.verdict != "certain")  # a certain pose needs no further touch
         self._show_pose()
 
     def _write_history(self) -> None:
@@ -342,6 +351,7 @@ class VisitorPage:
 
     def _clear_result(self) -> None:
         self.view.clear_result()
+        self._show_finger(True)
         self.overlay.show_hint(READY if self.session.touches else START)
         self.status.fill("")
         for handle in (self.verdict, self.number, self.shown_touch, self.pose, self.compared, self.history):
@@ -355,6 +365,7 @@ class VisitorPage:
         share = rated.information / max(rated.information + rated.entropy, 1e-9)
         text = f"It should remove {format_percent(share)} of the doubt."
         if self.session.require_result().best.T_base_object is not None:
+            self._show_finger(True)
             self.view.move_finger_gizmo(rated.approach.T_base_sensor, geometry)
             self._settle()
             self._ask_press()

@@ -173,12 +173,21 @@ class SceneView:
         for name, value in to_view(T_base_sensor @ make_translation(geometry.gel_middle_m)).items():
             setattr(self.finger_gizmo, name, value)
 
+    def show_finger(self, shown: bool) -> None:
+        """Show or hide the finger and its gizmo."""
+        for handle in (self._finger, self.finger_gizmo):
+            if handle is not None:
+                handle.visible = shown
+
     def show_press(self, press: Press) -> None:
         """Draw the finger where it is pressed, with its gel's surface."""
         vertices, faces = press.build_gel_surface()
         vertices *= UNITS_PER_M
         if self._finger is None:
-            self._finger = self.scene.add_frame("/finger", show_axes=False, **to_view(press.T_base_sensor))
+            shown = self.finger_gizmo is None or self.finger_gizmo.visible
+            self._finger = self.scene.add_frame(
+                "/finger", show_axes=False, visible=shown, **to_view(press.T_base_sensor)
+            )
             self._gel = self.scene.add_mesh_simple(
                 "/finger/gel", vertices, faces, color=GEL, opacity=0.9, side="double", **PLAIN
             )
@@ -238,9 +247,9 @@ class SceneView:
         for number in shown:
             look = {} if number == chosen else {"opacity": GHOST * float(np.sqrt(p[number] / p.max()))}
             self._add_mesh(f"/poses/{number}", mesh, BEST, **look, **to_view(drawn.poses[number]))
-        if len(shown) > 1:
-            self._write_weights(drawn, mesh, shown[:MOST_WEIGHTS])
         if found.verdict is not Verdict.CERTAIN:
+            if len(shown) > 1:
+                self._write_weights(drawn, mesh, shown[:MOST_WEIGHTS])
             self._show_cloud(drawn)
         self._show_ellipsoid(drawn, chosen)
 
