@@ -106,10 +106,10 @@ class AppServer:
             if page is None:
                 return
             gone = [page.session]
-            if visit:  # of two sessions of a visit, keep the one with more touches
+            if visit:  # of two sessions of a visit, keep the one with more touches, or the older one
                 before = self._kept.pop(visit, None)
                 gone += [] if before is None else [before[0]]
-                gone.sort(key=lambda one: len(one.touches), reverse=True)
+                gone.sort(key=lambda one: (-len(one.touches), one.begin_s))
                 self._kept[visit] = gone.pop(0), time.monotonic()
         page.close()
         for session in gone:

@@ -4,6 +4,7 @@ import hashlib
 import itertools
 import shutil
 import tempfile
+import time
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -67,7 +68,7 @@ class Session:
 
     def __init__(self, localizers: SharedLocalizers, config: RunConfig | None = None, seed: int = 0) -> None:
         """Begin with the object and the sensor that `config` names. Raises TactileLocError if they cannot be used."""
-        self.localizers = localizers
+        self.localizers, self.begin_s = localizers, time.monotonic()
         self.rng = np.random.default_rng(seed)
         self.folder = Path(tempfile.mkdtemp(dir=localizers.folder, prefix="visitor-"))
         self.inbox = self.folder / "touches"

@@ -170,6 +170,20 @@ def test_a_visit_that_is_loaded_again_keeps_its_session_and_two_tabs_stay_apart(
     assert not first.session.folder.exists()
 
 
+def test_of_two_sessions_without_touches_the_older_one_is_kept(server, port, monkeypatch):
+    monkeypatch.setattr("tactile_loc_app.server.MOVE_S", 0.0)
+    name = "00112233445566778899aabbccddeeff"
+    with ExitStack() as later:
+        with visit(port, f"/?visit={name}"):
+            (first,) = wait_until(lambda: list(server.pages.values()))
+            later.enter_context(visit(port, f"/?visit={name}"))
+            (other,) = wait_until(lambda: [page for page in server.pages.values() if page is not first])
+        wait_until(lambda: list(server.pages.values()) == [other])
+    wait_until(lambda: not server.pages and not other.session.folder.exists())
+    assert first.session.folder.is_dir()
+    server.forget_left(0.0)
+
+
 def test_a_page_that_is_loaded_again_waits_for_its_earlier_connection(server, port, monkeypatch):
     monkeypatch.setattr("tactile_loc_app.server.MOVE_S", 0.0)
     name = "fedcba9876543210" * 2
