@@ -7,7 +7,7 @@ import tempfile
 import time
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
-from threading import Lock
+from threading import RLock
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -52,7 +52,7 @@ class AppServer:
         self.pages: dict[int, VisitorPage] = {}
         self._visits: dict[int, str] = {}
         self._kept: dict[str, tuple[Session, float]] = {}
-        self._lock = Lock()
+        self._lock = RLock()
         self.new_session().close()  # raises here, not when the first visitor comes
         self._server = start_viser(host, port, self.access)
         self._server.on_client_connect(self._welcome)
@@ -78,7 +78,12 @@ class AppServer:
         if not self._is_here(client):
             return
         visit = find_visit(self._server, client.client_id)
-        page = VisitorPage(client, self._find_session(visit))
+        session = self._find_session(visit)
+        try:
+            page = VisitorPage(client, session)
+        except BaseException:  # the visitor may have left
+            self._close(self._keep(visit.number, session))
+            raise
         with self._lock:
             self.pages[client.client_id], self._visits[client.client_id] = page, visit.number
         if not self._is_here(client):  # left meanwhile, and maybe before the page was known
@@ -105,13 +110,25 @@ class AppServer:
             page, visit = self.pages.pop(client.client_id, None), self._visits.pop(client.client_id, "")
             if page is None:
                 return
-            gone = [page.session]
-            if visit:  # of two sessions of a visit, keep the one with more touches, or the older one
-                before = self._kept.pop(visit, None)
-                gone += [] if before is None else [before[0]]
-                gone.sort(key=lambda one: (-len(one.touches), one.begin_s))
-                self._kept[visit] = gone.pop(0), time.monotonic()
+            gone = self._keep(visit, page.session)
         page.close()
+        self._close(gone)
+
+    def _keep(self, visit: str, session: Session) -> list[Session]:
+        """Keep the session of a visit, and return the sessions that are not kept.
+
+        Of two sessions of a visit, the one with more touches is kept, or the older one.
+        """
+        with self._lock:
+            if not visit:
+                return [session]
+            before = [self._kept.pop(visit)[0]] if visit in self._kept else []
+            kept, *gone = sorted([session, *before], key=lambda one: (-len(one.touches), one.begin_s))
+            self._kept[visit] = kept, time.monotonic()
+            return gone
+
+    def _close(self, gone: list[Session]) -> None:
+        """Close sessions that are not kept, and those of visitors who left long ago."""
         for session in gone:
             session.close()
         self.forget_left(KEPT_S)

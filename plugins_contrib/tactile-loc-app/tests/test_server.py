@@ -170,6 +170,24 @@ def test_a_visit_that_is_loaded_again_keeps_its_session_and_two_tabs_stay_apart(
     assert not first.session.folder.exists()
 
 
+def test_a_visitor_who_leaves_while_the_page_is_made_keeps_the_session(server, port, monkeypatch):
+    name = "ffeeddccbbaa99887766554433221100"
+    with visit(port, f"/?visit={name}"):
+        (first,) = wait_until(lambda: list(server.pages.values()))
+    wait_until(lambda: not server.pages)
+    failed = []
+    with monkeypatch.context() as changed:
+        changed.setattr(type(first), "_add_controls", lambda page: failed.append(page) or 1 / 0)
+        with visit(port, f"/?visit={name}"):
+            wait_until(lambda: failed and name in server._kept)
+    assert first.session.folder.is_dir()
+    with visit(port, f"/?visit={name}"):
+        (again,) = wait_until(lambda: list(server.pages.values()))
+        assert again.session is first.session
+    wait_until(lambda: not server.pages)
+    server.forget_left(0.0)
+
+
 def test_of_two_sessions_without_touches_the_older_one_is_kept(server, port, monkeypatch):
     monkeypatch.setattr("tactile_loc_app.server.MOVE_S", 0.0)
     name = "00112233445566778899aabbccddeeff"

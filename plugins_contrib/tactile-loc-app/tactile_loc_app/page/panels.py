@@ -55,7 +55,6 @@ class VisitorPage:
                 self._show_result(session.result)
         except BaseException:  # the visitor may have left
             self.close()
-            session.close()
             raise
 
     def _add_controls(self) -> None:
