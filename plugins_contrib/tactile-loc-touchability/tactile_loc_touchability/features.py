@@ -34,7 +34,10 @@ class TriedFeature:
     after: float
 
     def describe(self) -> str:
-        """Return the feature and its gain in words."""
+        """Return the feature and its gain in words, as the best one of those tried."""
+        if self.after <= self.before:
+            told = write_share(self.before)
+            return f"no tried feature raises the share of places that tell the poses of pair 1 apart, which is {told}"
         shares = f"from {write_share(self.before)} to {write_share(self.after)}"
         return (
             f"a {self.kind} of {2e3 * RADIUS_M:g} mm diameter at {write_place(self.place_m)} mm raises the share of "

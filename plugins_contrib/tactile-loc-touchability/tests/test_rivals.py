@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tactile_loc.plugin.helpers import SymmetryGroup, invert, make_transform, rotation_about, rotation_angle
 
-from tactile_loc_touchability.features import FeatureError, change_surface, try_features
+from tactile_loc_touchability.features import FeatureError, TriedFeature, change_surface, try_features
 from tactile_loc_touchability.rivals import (
     choose_equivalents,
     choose_marks,
@@ -117,6 +117,12 @@ def test_a_feature_tells_the_halves_of_a_plain_block_apart(study_of):
     assert tried[0].after > 0
     assert all(one.before == 0 for one in tried)
     assert [one.after for one in tried] == sorted((one.after for one in tried), reverse=True)
+
+
+def test_a_feature_without_a_gain_is_not_recommended():
+    useless, useful = (TriedFeature("bump", (0.0, 0.0, 0.0), 0.9, after) for after in (0.9, 0.95))
+    assert useless.describe().startswith("no tried feature")
+    assert "from 90 % to 95 %" in useful.describe()
 
 
 def test_features_need_a_closed_surface(plain):
