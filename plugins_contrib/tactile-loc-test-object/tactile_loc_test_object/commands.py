@@ -103,6 +103,10 @@ def score(
     for press in found.presses:
         if press.refused:
             complain("refused", press.refused)
+    if unfit := [press.photo.path.name for press in found.presses if press not in found.located and not press.refused]:
+        complain(
+            "warning", f"{', '.join(unfit)} fit no pose at their places; check the numbers of the files, and --turn"
+        )
     if missing := [str(place.number) for place in PLACES if not found.by_place[place.number]]:
         complain("warning", f"no photo of the places {', '.join(missing)}, which count as 0 points")
     written = [

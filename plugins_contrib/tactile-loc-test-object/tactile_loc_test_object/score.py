@@ -46,8 +46,8 @@ class Score:
 
     @cached_property
     def located(self) -> tuple[ScoredPress, ...]:
-        """The presses whose place is where it should be, within RIGHT_M."""
-        return tuple(press for press in self.presses if press.shift_m is not None and not self._is_astray(press))
+        """The presses with a pose that fits, whose place is where it should be, within RIGHT_M."""
+        return tuple(press for press in self.presses if press.fits and not self._is_astray(press))
 
     def _is_astray(self, press: ScoredPress) -> bool:
         assert press.shift_m is not None
@@ -55,8 +55,8 @@ class Score:
 
     @cached_property
     def middle_m(self) -> Floats:
-        """The median shift (2,) of all presses with a pose, metres: x to the right, y down in the photo."""
-        shifts = [press.shift_m for press in self.presses if press.shift_m is not None]
+        """The median shift (2,) of all presses with a pose that fits, metres: x to the right, y down in the photo."""
+        shifts = [press.shift_m for press in self.presses if press.shift_m is not None and press.fits]
         return np.median(shifts, axis=0) if shifts else np.zeros(2)
 
     @cached_property
@@ -73,7 +73,7 @@ class Score:
         """Return the state of a press in words: its verdict, "astray" or "refused"."""
         if press.shift_m is None:
             return "refused"
-        return "astray" if self._is_astray(press) else press.verdict
+        return "astray" if press.fits and self._is_astray(press) else press.verdict
 
     def rate(self, press: ScoredPress) -> float:
         """Return the points of a press for the shape, 0 to 100: 0 if it was not located."""

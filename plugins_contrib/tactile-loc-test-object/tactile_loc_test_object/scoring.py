@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
-from tactile_loc import IMAGE_SUFFIXES, GaussianPrior, Localizer, Tolerance
+from tactile_loc import IMAGE_SUFFIXES, GaussianPrior, Localizer, Tolerance, Verdict
 from tactile_loc.plugin import Scene, SensorGeometry, TactileLocError, Touch
 from tactile_loc.plugin.helpers import invert, make_transform, rotation_about
 
@@ -31,6 +31,7 @@ DEEPER = 1.3  # the object may reach this much deeper than was read
 TOUCHING_M = 2e-5
 FEWEST_PX = 12  # a smaller contact is not compared, and one with a smaller inside is compared up to its border
 FLAT_M = 2e-5  # a relief below this counts as this much, so that the errors of flat faces are not divided by zero
+UNFIT = (Verdict.POOR_FIT, Verdict.NOT_FOUND)
 NAMES = re.compile(r"0*(\d+)([a-z]*)", re.IGNORECASE)
 SUFFIXES = (*IMAGE_SUFFIXES, ".npz", ".npy")
 
@@ -111,6 +112,11 @@ class ScoredPress:
     turn_rad: float = 0.0
     verdict: str = ""
     surfaces: Surfaces | None = None
+
+    @property
+    def fits(self) -> bool:
+        """Whether a pose near the place explains the photo."""
+        return self.shift_m is not None and self.verdict not in UNFIT
 
 
 def list_photos(folder: Path) -> list[Photo]:

@@ -101,6 +101,16 @@ def test_a_press_far_from_the_others_is_astray(right):
     assert score.rate(moved) == 0
 
 
+@pytest.mark.parametrize("verdict", ["poor fit", "not found"])
+def test_a_press_whose_pose_does_not_fit_is_not_located(right, verdict):
+    lost = replace(right[0], verdict=verdict, surfaces=replace(right[0].surfaces, scale=-1.0))
+    score = Score((lost, *right[1:]))
+    assert score.describe_state(lost) == verdict
+    assert score.located == tuple(right[1:])
+    assert score.rate(lost) == 0
+    assert score.height_scale == Score(tuple(right[1:])).height_scale
+
+
 def test_repeatability_is_the_spread_at_a_place(right):
     again = [replace(right[0], shift_m=MIDDLE_M + np.array([d, 0])) for d in (-1e-4, 1e-4)]
     assert Score(tuple(again)).repeatability_m == pytest.approx(np.sqrt(2) * 1e-4)

@@ -37,6 +37,22 @@ def test_the_commands_of_the_page_make_and_score_the_object(cli, monkeypatch, st
 
 
 @pytest.mark.slow
+def test_photos_with_wrong_numbers_are_named(cli, monkeypatch, store_folder):
+    monkeypatch.setenv("TACTILE_LOC_STORE", str(store_folder))
+    page = read_page("test-object.md")
+    make, *_, score = list_commands(page)
+    succeed(cli(*make[1:]))
+    run_program(page, "test-object.md")
+    for old, new in (("3", "a"), ("4", "3"), ("a", "4")):
+        Path(f"photos/{old}.npz").rename(f"photos/{new}.npz")
+    done = cli(*score[1:], "--json")
+    said = json.loads(succeed(done).stdout)
+    assert said["row"]["located"] == 8
+    assert said["row"]["height_scale"] == pytest.approx(1, abs=0.02)
+    assert "warning: 3.npz, 4.npz fit no pose at their places" in done.stderr
+
+
+@pytest.mark.slow
 def test_the_readmes_program_runs(cli, monkeypatch, store_folder, capsys):
     monkeypatch.setenv("TACTILE_LOC_STORE", str(store_folder))
     run_program(README.read_text(), "README.md")
