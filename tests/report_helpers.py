@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 from collections.abc import Callable, Mapping
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,9 @@ from tactile_loc.evaluation.protocol import LINES, STAGES
 from tactile_loc.evaluation.recall.tables import collect_answers
 from tactile_loc.evaluation.sweep.combination import TIMED_LINES, TOUCHES, Combination, combine
 from tactile_loc.evaluation.sweep.sweep import MEASURED, Sweep
+from tactile_loc.evaluation.sweep.tables import record_sweep
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, name_errors
+from tactile_loc.evaluation.text_tables import Row
 from tactile_loc.reports import find_result
 from tactile_loc.reports.page import Page, render
 from tactile_loc.reports.report import make_page
@@ -122,28 +125,23 @@ def make_sweep(values: dict[str, Any], measure: Callable[[Combination], Mapping[
     return Sweep(plan, combinations, outcomes, len(combinations))
 
 
-def sweep_rows() -> list[dict[str, Any]]:
-    """Twelve combinations; each refiner multiplies the error by its EFFECT for every object and spacing."""
-    rows = []
-    for name, spacing, refiner in itertools.product(("pin", "hook"), (4.0, 6.0), SWEPT):
-        error_mm = EFFECT[refiner] * (3.0 if name == "pin" else 7.0) * spacing
-        rows.append({
-            "object": name, "sensor": "gelslim", "renderer": "heightmap", "grid": "face", "encoder": "pixel",
-            "matcher": "dense", "refiner": refiner, "fuser": "product", "noise": "strong", "seed": 0, "count": 5,
-            "grid.spacing_mm": spacing, "grid_poses": 100, "best-1_median_mm": 2 * error_mm,
-            "chosen_median_mm": error_mm, "chosen_mean_mm": error_mm, "coverage_80": 0.8, "chosen_ms": 10 / error_mm,
-            "model_s": 1.0, "built": "[]", "error": "", "key": f"{len(rows):016x}",
-        })  # fmt: skip
-    return rows
+@cache
+def describe_sweep() -> str:
+    """The JSON of twelve combinations; each refiner multiplies the error by its EFFECT for every object and spacing."""
+
+    def measure(one: Combination) -> dict[str, float]:
+        size = (3.0 if one.object == "pin" else 7.0) * one.config.grid.options["spacing_mm"]
+        error_mm = EFFECT[one.config.refiner.name] * size
+        return {"best-1_median_mm": 2 * error_mm, "chosen_median_mm": error_mm, "chosen_ms": 10 / error_mm}
+
+    varied = {"object": ["pin", "hook"], "refiner": list(SWEPT), "option": ["grid.spacing_mm=4,6"]}
+    return json.dumps(record_sweep(make_sweep({**varied, "count": 6}, measure), "chosen"))
 
 
-def write_sweep(folder: Path, rows: list[dict[str, Any]] | None = None) -> Path:
-    """Write sweep.json."""
-    document = {
-        "schema_version": 1, "created": "2026-01-01T00:00:00+00:00", "versions": {"numpy": "2"},
-        "plan": {"count": 5, "refiner": list(SWEPT)}, "built": {"grid": 2, "bank": 2},
-        "rows": sweep_rows() if rows is None else rows,
-    }  # fmt: skip
+def write_sweep(folder: Path, change: Callable[[list[Row]], object] = lambda rows: None) -> Path:
+    """Write sweep.json, after a change of its rows."""
+    document = json.loads(describe_sweep())
+    change(document["rows"])
     (folder / "sweep.json").write_text(json.dumps(document))
     return folder
 

@@ -10,9 +10,9 @@ import trimesh
 from PIL import Image
 from press_sets import ball_set, write_calibrated, write_table
 from public_sets import PUBLIC_SETS
-from report_helpers import sweep_rows, write_run, write_sweep
+from report_helpers import write_run, write_sweep
 
-from tactile_loc import Localizer, RunConfig, StageKey, StageStore
+from tactile_loc import Localizer, StageKey, StageStore
 from tactile_loc.io.streams.recordings import RecordingWriter, write_recording
 from tactile_loc.io.streams.ros_messages import (
     CDR,
@@ -159,12 +159,7 @@ def result(folder: Path) -> None:
 
 def sweep(folder: Path) -> None:
     """Write the table of a sweep."""
-    rows = list(sweep_rows())
-    for row in rows:
-        grid = {"name": "face", "spacing_mm": row["grid.spacing_mm"]}
-        config = RunConfig.from_dict({"object": {"path": row["object"]}, "grid": grid, "refiner": row["refiner"]})
-        row["configuration"] = config.model_dump(mode="json")
-    write_sweep(folder, rows)
+    write_sweep(folder)
 
 
 def mcap(folder: Path) -> None:

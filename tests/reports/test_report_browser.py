@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from browser_helpers import LOCAL, choose, find, list_errors, list_requests, open_browser, plots
 from PIL import Image
-from report_helpers import UNFRIENDLY, write_sweep
+from report_helpers import UNFRIENDLY
 
 from tactile_loc import ExampleTable, Localizer, LocatedFrame, SourceFrame, Touch, Verdict
 from tactile_loc.reports import write_report
@@ -174,13 +174,6 @@ def test_the_page_of_a_sweep_is_drawn_sorted_and_filtered(show, sweep_folder):
     assert browser.execute_script(dots) == 2
     texts = browser.execute_script("return document.getElementById('scatter').data.flatMap(t => t.text)")
     assert all("refiner: icp" in text for text in texts)
-
-
-@pytest.mark.slow
-def test_a_sweep_with_few_columns_is_drawn(show, tmp_path):
-    rows = [{"object": UNFRIENDLY, "refiner": name, "chosen_median_mm": value} for name, value in (("a", 1), ("b", 2))]
-    browser = show(write_sweep(tmp_path, rows))
-    assert plots(browser) == {"effect-0": 2}
 
 
 def live_result(number: int, touch: Touch | None) -> LiveResult:

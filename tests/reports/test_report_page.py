@@ -43,8 +43,7 @@ def test_user_names_are_shown_as_text(unfriendly_run, tmp_path):
     evaluation.mkdir()
     sweep.mkdir()
     write_recall(evaluation, names=(UNFRIENDLY, "pin"))
-    rows = [{"object": UNFRIENDLY, "refiner": name, "chosen_median_mm": 1, "error": ""} for name in ("a", "b")]
-    write_sweep(sweep, [*rows, {**rows[0], "error": UNFRIENDLY}])
+    write_sweep(sweep, lambda rows: (rows[0].update(object=UNFRIENDLY), rows[1].update(error=UNFRIENDLY)))
     for folder in (unfriendly_run, evaluation, sweep):
         html = html_of(folder)
         assert html.count("<script") - html.count("'<script") >= 3
