@@ -57,7 +57,7 @@ def report_gel(known: Calibration) -> list[str]:
 def measure_ball(known: Calibration, image: NDArray[np.uint8], press_m: float) -> tuple[float, float]:
     """Return the read press depth of the ball, and the RMS error of the surface in the contact, mm."""
     geometry = known.geometry
-    read_m = known.read_indentation(image)
+    read_m = known.read(image).indentation_m
     x, y = (
         geometry.pixel_pitch_m * (np.arange(side) + 0.5) - at * MM_PER_PX / MM
         for side, at in zip(geometry.shape[::-1], BALL_PX, strict=True)
@@ -77,7 +77,7 @@ def measure_prism(known: Calibration, image: NDArray[np.uint8], tip: NDArray[np.
     """
     from scipy.ndimage import binary_erosion, distance_transform_edt
 
-    read_m = known.read_indentation(image)
+    read_m = known.read(image).indentation_m
     inner = binary_erosion(tip, iterations=round(BORDER_MM / MM / known.geometry.pixel_pitch_m))
     press_m = float(read_m[inner].mean())
     flat = np.where(tip, 0, press_m).astype(np.float32)

@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 from real_images import SETS, read, reduce
 
 from tactile_loc.core.runtime.progress import Progress
-from tactile_loc.sensors.calibration.labels import Chosen
 from tactile_loc.sensors.calibration.outcome import measure_press, split
 from tactile_loc.sensors.calibration.presses import PressFolder
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator
-from tactile_loc.slots.encoder import Checkpoints
 
 COUNTS = (1, 2, 5, 10, 20)
 
@@ -53,7 +51,7 @@ def measure_error_deg(presses: PressFolder, count: int, choose: Callable[..., li
     others, held_out = split(len(presses), seed)
     learned = choose(presses, others, min(count, len(others)), seed)
     made = PhotometricEstimator(presses.geometry, presses.background)
-    made.fit(Chosen(presses, learned), Progress(), Checkpoints())
+    made.fit(presses.read_presses(learned), Progress())
     return float(np.mean([measure_press(made, *presses.read_press(number))["slope_deg"] for number in held_out]))
 
 

@@ -21,12 +21,10 @@ from real_images import SETS, read
 
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.frames import PressImage
-from tactile_loc.sensors.calibration.labels import Chosen
 from tactile_loc.sensors.calibration.outcome import measure_press, split
 from tactile_loc.sensors.calibration.presses import PressFolder
 from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator
-from tactile_loc.slots.encoder import Checkpoints
 
 Array = NDArray[np.float64]
 COLUMNS = ("center_x_px", "center_y_px", "radius_px")
@@ -65,7 +63,7 @@ def measure_errors_deg(sets: dict[str, PressFolder], known: NDArray[np.bool_], s
     errors = {}
     for name, labels in sets.items():
         made = PhotometricEstimator(hand.geometry, hand.background)
-        made.fit(Chosen(labels, learned), Progress(), Checkpoints())
+        made.fit(labels.read_presses(learned), Progress())
         for tested in ("hand", "found"):
             each = [measure_press(made, *sets[tested].read_press(n))["slope_deg"] for n in held_out]
             errors[f"{name} on {tested}"] = float(np.mean(each))

@@ -103,7 +103,7 @@ def measure_slopes(presses: PressFolder, splits: int) -> tuple[CalibrationOutcom
     done = [calibrate(presses, EstimatorRecipe(seed=seed)) for seed in range(splits)]
     means = [calibrated.mean_errors for calibrated in done]
     image = presses.images[0]
-    seconds = [_time(lambda: done[0].estimator.read_indentation(image)) for _ in range(9)]
+    seconds = [_time(lambda: done[0].estimator.read(image)) for _ in range(9)]
     mean = {key: float(np.mean([m[key] for m in means])) for key in means[0]}
     return done[0], {**mean, "ms": 1e3 * float(np.median(seconds))}
 
@@ -134,7 +134,7 @@ class SpherePress:
         pitch_mm = 1e3 * estimator.geometry.pixel_pitch_m
         away_mm, radius_mm = pitch_mm * circle.measure_distance_px(image.shape[:2]), pitch_mm * circle.radius_px
         below_mm = SMALL_SPHERE_MM - np.sqrt(SMALL_SPHERE_MM**2 - np.minimum(away_mm, radius_mm) ** 2)
-        surface_mm = 1e3 * estimator.read_indentation(image)
+        surface_mm = 1e3 * estimator.read(image)[0]
         tops_mm = surface_mm + below_mm  # top of the sphere, according to each pixel in contact
         top_mm = float(tops_mm[away_mm < radius_mm / 2].mean())
         rim_mm = float(surface_mm[np.abs(away_mm - radius_mm) < pitch_mm].mean())
@@ -175,7 +175,7 @@ def measure_depths(calibrated: CalibrationOutcome, shapes: Path, spheres: dict[s
     poses = json.loads((shapes / "poses.json").read_text())
     rows = []
     for press, times in zip(PRESSES_MM, measure_growth(calibrated, shapes), strict=True):
-        indentation = calibrated.estimator.read_indentation(_read_image(shapes / f"prism_{press}_real.png"))
+        indentation = calibrated.estimator.read(_read_image(shapes / f"prism_{press}_real.png"))[0]
         tip = _find_tip(_write_pose(poses, press), shapes / "prism.stl", indentation.shape)
         tip_mm, press_mm = (
             1e3 * indentation[tip].mean(),

@@ -58,11 +58,10 @@ def photograph_part(session: Session, path: Path, count: int, rng: np.random.Gen
         chosen.path, units=chosen.units, sensor={"name": "file", "path": str(sensor)}, store=session.localizers.store
     )
     touches = camera.simulate_together(count, seed=1, press_depth_m=1e-3 * PART_MM)
-    untouched = render_background(geometry, lamps)
     with zipfile.ZipFile(path, "w") as archive:
         for touch in touches:
             depth_m, press_m = touch.contact_shape.depth_m[None], np.array([touch.press_depth_m])
-            image = render_touches(depth_m, press_m, geometry, lamps, rng, background=untouched)[0]
+            image = render_touches(depth_m, press_m, geometry, lamps, rng)[0]
             archive.writestr(f"{touch.name}.png", encode_png(image))
         poses = {f"{touch.name}.png": touch.T_base_sensor for touch in touches}
         archive.write(write_touch_list(path.with_name(LIST), poses), LIST)

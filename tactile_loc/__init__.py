@@ -106,7 +106,7 @@ if TYPE_CHECKING:
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome as CalibrationOutcome
     from tactile_loc.sensors.calibration.outcome import calibrate_folder as calibrate_folder
     from tactile_loc.sensors.calibration.press_table import list_named_files as list_named_files
-    from tactile_loc.sensors.reading.estimator import EstimatorRecipe as EstimatorRecipe
+    from tactile_loc.sensors.reading.photometric import EstimatorRecipe as EstimatorRecipe
     from tactile_loc.sensors.reading.rectification import StatedView as StatedView
     from tactile_loc.simulate.touch_simulation import press_touch as press_touch
     from tactile_loc.slots.code import hash_code as hash_code

@@ -2,7 +2,7 @@
 
 import csv
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from tactile_loc import EstimatorRecipe, SensorGeometry, write_sensor_file
-from tactile_loc.sensors.calibration.labels import LabelledPresses, PressLabel, label_ball
+from tactile_loc.sensors.calibration.labels import PressLabel, label_ball
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background, render_images
 from tactile_loc.sensors.optics.simulate import press_gel
@@ -76,8 +76,8 @@ def label_untouched(geometry: SensorGeometry) -> PressLabel:
 
 
 @dataclass(frozen=True, eq=False)
-class BallSet(LabelledPresses):
-    """Presses of one ball: images (N, H, W, 3), visible circles (N, 3) of x, y, radius in pixels, and the truth.
+class BallSet:
+    """Presses of one ball, like a PressFolder: images (N, H, W, 3), visible circles (N, 3), pixels, and the truth.
 
     `indentation_m` (N, H, W) is the true indentation. It exceeds the label by the depth of the visible circle.
     The first access to any of the three draws all of them.
@@ -101,6 +101,16 @@ class BallSet(LabelledPresses):
     def read_press(self, number: int) -> tuple[np.ndarray, PressLabel]:
         x, y, radius = self.circles[number]
         return self.images[number], label_ball(self.geometry, (x, y), radius, BALL_M)
+
+    def read_presses(self, numbers: Iterable[int]) -> Iterator[tuple[np.ndarray, PressLabel]]:
+        return map(self.read_press, numbers)
+
+    def name(self, number: int) -> str:
+        return f"{number:04d}.png"
+
+    @property
+    def untouched(self) -> np.ndarray:
+        return self.background
 
     def rows(self) -> list[dict[str, object]]:
         """The rows of the table."""
@@ -155,14 +165,14 @@ def write_calibrated(folder: Path, learned_from: BallSet | None = None, **option
     """Write a calibrated sensor and return its folder; without presses, its estimator is untrained."""
     from tactile_loc.sensors.calibration.folder import write_calibration
     from tactile_loc.sensors.calibration.outcome import calibrate
-    from tactile_loc.sensors.reading.estimator import make_estimator
+    from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 
     chosen = {**TINY, **options}
     if learned_from is None:
         geometry = sensor()
         gel = render_background(geometry, OPTICS["gelslim"])
-        return write_calibration(folder, make_estimator("photometric", chosen, geometry, gel), gel, {"noise_m": 5e-6})
-    return calibrate(learned_from, EstimatorRecipe("photometric", chosen)).write(folder)
+        return write_calibration(folder, PhotometricEstimator(geometry, gel, chosen), gel, {"noise_m": 5e-6})
+    return calibrate(learned_from, EstimatorRecipe(chosen)).write(folder)
 
 
 def write_image(path: Path, image: np.ndarray) -> Path:

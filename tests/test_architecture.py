@@ -12,7 +12,6 @@ ALLOWED = {
     "tactile_loc.plugins.sensors.calibrated": {
         "tactile_loc.sensors.calibration.folder",
         "tactile_loc.sensors.reading.reading",
-        "tactile_loc.sensors.optics.simulate",
     },
     "tactile_loc.plugins.sensors.file": {"tactile_loc.io.sensor_files"},
 }

@@ -220,8 +220,6 @@ def run(words: list[str]) -> None:
         cheaper = [*cheaper, *TINY_TRAINING]
     if "--ball-radius" in words:  # the ball of the furnished folders
         cheaper = [*cheaper, "--ball-radius", "3", "--mm-per-px", "0.25"]
-    if "--simulated" in words:
-        cheaper = ["-o", "epochs=1", "-o", "channels=4", "--presses", "5"]
     if "library" in words and words[1] == "identify":  # the grid of a library is fixed
         cheaper = ["-o", "temperature=0.05"]
     if words[1] in ("evaluate", "paper") and "--object" not in words:

@@ -19,7 +19,7 @@ import trimesh
 from record import OURS, PROGRAM, Done
 
 FLAT = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.35\n'
-SMALL = 'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'
+SMALL = 'camera = "orthographic"\nimage_size_px = [80, 80]\nmax_depth_mm = 2.0\nmm_per_px = 0.2\n'
 GRID = "--sensor flat.toml --grid face -o grid.spacing_mm=8"
 SURE = "-o temperature=0.001"  # instead of fitting a temperature
 MOCO = "--encoder moco -o encoder.epochs=4 -o encoder.queries=64 -o encoder.batch=32 -o encoder.channels=4"
@@ -27,8 +27,7 @@ COMMANDS = {
     "build": f"build --object pin {GRID}",
     "run": f"run --object head {GRID} --seed 7 --report --out found",
     "train": f"build --object pin {GRID} {MOCO} {SURE}",
-    "calibrate": "calibrate --simulated --presses 40 --sensor small.toml --estimator cnn -o channels=4 -o epochs=6 "
-                 "--out mine",
+    "calibrate": "calibrate balls --ball-radius 3 --mm-per-px 0.2 -o steps=300 --out mine",
     "paper": f"paper --object pin --object head {GRID} --refiner none --count 6 --out measured",
     "sweep": "sweep --object pin,head --sensor flat.toml --refiner none,icp --count 2 -o grid.spacing_mm=8 "
              "--workers 1 --out swept",
@@ -40,6 +39,7 @@ PARTS = {"block": (9, 7, 4), "slab": (16, 12, 2), "bar": (22, 3, 3), "cube": (5,
 INPUTS = (
     f"simulate --object pin {GRID} --count 8 --seed 1 --out touches",
     f"simulate --object head {GRID} --renderer zbuffer --seed 3 --count 30 --recording slide.mcap",
+    "simulate --object ball.stl --units mm --sensor small.toml --images --count 12 --out balls",
 )
 HANGS_S = 900
 GLANCE_S = 0.003  # time between two looks at the disk
@@ -177,13 +177,15 @@ def make_inputs(folder: Path) -> Path:
             path.mkdir(parents=True)
         for name, text in (("flat.toml", FLAT), ("small.toml", SMALL)):
             (making.work / name).write_text(text, encoding="utf-8")
+        trimesh.creation.icosphere(4, 3.0).export(making.work / "ball.stl")
         (making.work / "parts").mkdir()
         for name, size_mm in PARTS.items():
             trimesh.creation.box(size_mm).export(making.work / "parts" / f"{name}.stl")
         for line in INPUTS:
             if (done := making.run(line)).code:
                 sys.exit(f"{line} does not work: {done.err}")
-        (making.work / "touches" / "touches.png").unlink()
+        for name in ("touches", "balls"):
+            (making.work / name / "touches.png").unlink()
         making.work.rename(folder)
         shutil.rmtree(making.root)
     return folder

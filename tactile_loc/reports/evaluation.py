@@ -100,8 +100,7 @@ def _describe_examples(document: Mapping[str, Any]) -> str:
         what = f"{protocol['examples']} examples of own touches ({', '.join(protocol['touches'])})"
     else:
         noises, seeds = (", ".join(map(str, protocol[name])) for name in ("noises", "seeds"))
-        kind = "simulated images" if protocol["images"] else f"noise {noises}"
-        what = f"{protocol['examples']} simulated examples for each object, {kind}, seed {seeds}"
+        what = f"{protocol['examples']} simulated examples for each object, noise {noises}, seed {seeds}"
     return f"{what}; protocol {protocol['version']}; {document['created']}"
 
 

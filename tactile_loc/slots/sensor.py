@@ -4,10 +4,8 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.depth_maps import DepthKind, DepthUnit
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
@@ -52,13 +50,3 @@ class SensorModel(Component):
         `contact_shape` takes the photo as the camera took it.
         """
         return photo
-
-    def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Return the image (H, W, 3) that the sensor's camera would take of a contact shape, with its noise.
-
-        Raises ConfigError if the sensor does not read images, and CalibrationError if it cannot simulate them.
-        """
-        raise ConfigError(
-            f"the sensor {type(self).__name__} does not read images; give the folder of tactile-loc calibrate "
-            "--simulated as `sensor`"
-        )

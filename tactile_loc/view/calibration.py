@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.sensors.calibration.folder import PICTURE
-from tactile_loc.sensors.calibration.labels import LabelledPresses
 from tactile_loc.sensors.calibration.layouts import SHEET
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
+from tactile_loc.sensors.calibration.presses import PressFolder
 from tactile_loc.sensors.calibration.unlabelled import FoundPress, FoundPresses
 from tactile_loc.sensors.reading.circles import compare_colours
-from tactile_loc.sensors.reading.estimator import GelEstimator
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 from tactile_loc.sensors.reading.reading import read_gel
 from tactile_loc.view.pictures import add_panels, compute_extent_mm, make_figure, save_figure
 
@@ -43,7 +43,7 @@ def save_labels(folder: Path, found: FoundPresses) -> Path:
     return save_figure(folder / SHEET, draw_labels(found, found.title))
 
 
-def draw_held_out(estimator: GelEstimator, presses: LabelledPresses, numbers: Sequence[int], title: str) -> Figure:
+def draw_held_out(estimator: PhotometricEstimator, presses: PressFolder, numbers: Sequence[int], title: str) -> Figure:
     """Draw a row for each of at most `MOST` presses, given by their `numbers`.
 
     A row shows the image, the known and the estimated indentation, and the profiles of both along x through the deepest
@@ -70,7 +70,7 @@ def draw_reading(outcome: CalibrationOutcome, number: int) -> Figure:
 
 
 def _draw_reading(
-    figure: Figure, panels: Sequence[Axes], estimator: GelEstimator, presses: LabelledPresses, number: int
+    figure: Figure, panels: Sequence[Axes], estimator: PhotometricEstimator, presses: PressFolder, number: int
 ) -> None:
     """Draw a press into four panels: the image, the known and the estimated indentation, and their profiles."""
     extent = compute_extent_mm(estimator.geometry)

@@ -107,8 +107,8 @@ def test_image_size_sets_the_size_of_the_calibrated_images(cli, presses):
     reduced = read_calibration(Path("reduced"))
     assert reduced.camera_px == (160, 160)
     assert is_same_camera(reduced.geometry, BALLS.geometry)
-    of_large = reduced.read_indentation(larger.images[3])
-    np.testing.assert_array_equal(reduced.read_indentation(BALLS.images[3]), of_large)
+    of_large = reduced.read(larger.images[3]).indentation_m
+    np.testing.assert_array_equal(reduced.read(BALLS.images[3]).indentation_m, of_large)
     assert_refused(cli("calibrate", presses, *FEW, "--image-size", 90, 80), "80 x 80", "90 x 80")
 
 
@@ -153,9 +153,9 @@ def test_each_fault_of_a_folder_is_one_sentence(cli, presses, what):
     ("words", "said"),
     [
         (["none"], ("none", "folder")),
-        (["presses", "-o", "stepz=3"], ("'photometric'", "'stepz'", "'steps'")),
+        (["presses", "-o", "stepz=3"], ("estimator", "'stepz'", "'steps'")),
         (["presses", "-o", "steps=many"], ("steps", "'many'", "whole number")),
-        (["presses", "-o", "steps=0"], ("'photometric'", "steps", "0")),
+        (["presses", "-o", "steps=0"], ("estimator", "steps", "0")),
         (["presses", "-o", "steps"], ("steps", "OPTION=VALUE")),
     ],
 )

@@ -135,7 +135,6 @@ def test_malformed_numbers_of_contacts_are_refused_in_one_sentence(cli, text):
     [
         ("--object hok", ["hok"]),
         ("--object pin --noise loud", ["loud"]),
-        ("--object pin --images", ["gelslim", "calibrate --simulated"]),
         ("--object pin --touches none.csv", ["none.csv"]),
         ("--object pin --touches file --noise mild", ["--noise", "--touches"]),
         ("--object pin --touches file --count 2", ["--count"]),

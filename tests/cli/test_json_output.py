@@ -11,6 +11,7 @@ import rich
 import typer
 from cli_helpers import TINY, succeed
 from message_helpers import naming
+from press_sets import ball_set
 from tactile_loc_cli import console
 from tactile_loc_cli.command import make_command
 from tactile_loc_cli.main import app
@@ -93,11 +94,8 @@ def test_run_reports_its_result_file(document):
 
 
 def test_calibrate_reports_angles_in_radians(document):
-    Path("sensor.toml").write_text(
-        'camera = "orthographic"\nimage_size_px = [48, 40]\nmax_depth_mm = 2.0\nmm_per_px = 0.4\n'
-    )
-    words = ["--sensor", "sensor.toml", "--presses", 8, "-o", "steps=5", "--out", "mine"]
-    found = document("calibrate", "--simulated", *words)
+    presses = ball_set(6).write(Path("presses"))
+    found = document("calibrate", presses, "-o", "steps=5", "--out", "mine")
     errors = json.loads(Path("mine/calibration.json").read_text())["held_out"]["mean"]
     assert found["held_out"]["mean_errors"]["slope_rad"] == pytest.approx(np.radians(errors["slope_deg"]))
     assert "slope_deg" not in found["held_out"]["mean_errors"]

@@ -2,11 +2,10 @@
 
 import csv
 import json
-import re
 from pathlib import Path
 
 import pytest
-from cli_helpers import FLAT_SENSOR, TINY, assert_refused, succeed, write_box
+from cli_helpers import TINY, assert_refused, succeed, write_box
 from PIL import Image
 from tactile_loc_cli.evaluate import paper
 from tactile_loc_cli.evaluate.jobs import Asked, list_jobs
@@ -20,7 +19,7 @@ from tactile_loc.evaluation.protocol import PROTOCOL_VERSION, TouchEvaluator
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 
 FEW = ["--count", 3, "--refiner", "none", *TINY]
-DRAWN = {"noise": "strong", "seed": 2, "images": False, "renderer": None}
+DRAWN = {"noise": "strong", "seed": 2, "renderer": None}
 
 
 @pytest.mark.usefixtures("drawn_pictures")
@@ -53,17 +52,6 @@ def test_one_command_writes_all_results_beside_those_of_the_paper(cli, tmp_path)
     assert measured[2:4] == ["measured", f"{first['median_normalised']:.3f}"]
     assert published[2:4] == ["paper", f"{PUBLISHED['pin']['best-1']:.2f}"]
     assert float(best[9]) == pytest.approx(records["contacts"]["summary"][6]["median_normalised"], abs=1e-3)
-
-
-@pytest.mark.slow
-def test_images_are_located_with_a_calibrated_sensor(cli, tmp_path):
-    (tmp_path / "sensor.toml").write_text(FLAT_SENSOR)
-    learn = ["--estimator", "photometric", "--presses", 20, "-o", "steps=200"]
-    succeed(cli("calibrate", "--simulated", "--sensor", "sensor.toml", *learn, "--out", "mine"))
-    succeed(cli("paper", "--object", "pin", "--images", "--sensor", "mine", *FEW))
-    protocol = json.loads((tmp_path / "paper" / "results.json").read_text())["protocol"]
-    assert (protocol["noise"], protocol["images"]) == ("none", True)
-    assert re.search(r"\b3 simulated touches\b.*images", (tmp_path / "paper" / "results.md").read_text())
 
 
 @pytest.mark.parametrize(
@@ -136,7 +124,6 @@ def test_quick_changes_only_what_is_not_given_and_says_so(quick, count, words, c
         ("--object pin --count 0", ["count"]),
         ("--object pin -o encoder.sells=3", ["sells"]),
         ("--object pin --config none.toml", ["none.toml"]),
-        ("--object pin --images --noise mild", ["'mild'", "--noise"]),
         ("--object pin --noise mild --noise none", ["--noise"]),
         ("--object pin --seed 1 --seed 2", ["--seed"]),
         ("--object pin --out file", ["--out"]),

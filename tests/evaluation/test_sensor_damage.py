@@ -17,7 +17,7 @@ def test_a_mirrored_image_causes_a_larger_pose_error_than_a_right_one(tmp_path):
     pytest.importorskip("torch")
     presses = ball_set(15, px=80).write(tmp_path / "presses")
     store = StageStore(tmp_path / "store")
-    recipe = EstimatorRecipe("photometric", {**TINY, "steps": 500})
+    recipe = EstimatorRecipe({**TINY, "steps": 500})
     outcome = calibrate_folder(presses, presses / "sensor.toml", recipe, store=store)
     sensor = read_calibration(outcome.write(tmp_path / "sensor"))
     seen = sensor.examine([np.ascontiguousarray(photo[:, ::-1]) for photo in ball_set(6, px=80, seed=7).images])

@@ -34,9 +34,9 @@ def test_the_circle_is_drawn_on_the_photo_and_on_its_change(found):
 
 def test_the_reading_has_the_known_and_the_estimated_indentation():
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
-    from tactile_loc.sensors.reading.estimator import make_estimator
+    from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 
-    untrained = make_estimator("photometric", {"hidden": 4}, BALLS.geometry, BALLS.background)
+    untrained = PhotometricEstimator(BALLS.geometry, BALLS.background, {"hidden": 4})
     figure = draw_reading(CalibrationOutcome(BALLS, untrained, {}), 3)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[:4] == [BALLS.name(3), "known", "estimated", "along x, at the deepest point"]

@@ -19,34 +19,19 @@ from tactile_loc_cli.options import Store, declare, set_option
 if TYPE_CHECKING:
     from tactile_loc.sensors.calibration.labelling import LabelledFolder
     from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
-    from tactile_loc.sensors.reading.estimator import EstimatorRecipe
     from tactile_loc.sensors.reading.rectification import StatedView
 
 DEFAULT_OUT = Path("my_sensor")
-DEFAULT_SENSOR = "gelslim"
-
-
-Estimator = StrEnum("Estimator", "PHOTOMETRIC CNN")
 Background = StrEnum("Background", "TABLE MEDIAN")  # the source of the untouched gel's image
 
 Folder = Annotated[
-    Path | None,
+    Path,
     typer.Argument(
         metavar="FOLDER",
         help="Images or a video of presses, with their table presses.csv; --ball-radius writes a missing table.",
     ),
 ]
-Geometry = Annotated[
-    str | None,
-    declare(
-        "--sensor FILE.toml|NAME",
-        "Sensor description. Default: FOLDER/sensor.toml. With --simulated also a sensor's name, by default gelslim.",
-    ),
-]
-EstimatorName = Annotated[
-    Estimator,
-    declare("--estimator", "photometric: slope from the colour of each pixel. cnn: a network for the whole image."),
-]
+Geometry = Annotated[str | None, declare("--sensor FILE.toml", "Sensor description. Default: FOLDER/sensor.toml.")]
 Untouched = Annotated[
     Background, declare("--background", "Image of the untouched gel: that of the table, or the median of all presses.")
 ]
@@ -85,12 +70,6 @@ ImageSize = Annotated[
         min=16,
     ),
 ]
-Simulated = Annotated[bool, declare("--simulated", "Instead of FOLDER: simulate presses of two calibration boards.")]
-Lamps = Annotated[str | None, declare("--optics NAME", "With --simulated: lamps of gelslim, gelsight-mini or digit.")]
-Presses = Annotated[
-    int | None,
-    declare("--presses N", "With --simulated: number of presses. Default: 200, or 2000 for cnn.", min=5, max=100_000),
-]
 Curved = Annotated[bool, declare("--curved", "Also learn the surface of a curved gel, from presses of a ball.")]
 EstimatorOption = Annotated[
     list[str] | None, set_option("Set an option of the estimator, such as steps=4000.", "OPTION=VALUE")
@@ -100,9 +79,8 @@ Out = Annotated[Path, declare("--out FOLDER", "Calibration folder to write.")]
 
 
 def calibrate(
-    folder: Folder = None,
+    folder: Folder,
     sensor: Geometry = None,
-    estimator: EstimatorName = Estimator.PHOTOMETRIC,
     background: Untouched = Background.TABLE,
     ball_radius: BallRadius = None,
     mm_per_px: PixelSize = None,
@@ -111,9 +89,6 @@ def calibrate(
     camera_matrix: CameraMatrix = None,
     image_size: ImageSize = None,
     curved: Curved = False,
-    simulated: Simulated = False,
-    optics: Lamps = None,
-    presses: Presses = None,
     option: EstimatorOption = None,
     seed: HeldOutSeed = 0,
     out: Out = DEFAULT_OUT,
@@ -121,23 +96,19 @@ def calibrate(
 ) -> dict[str, Any]:
     """Calibrate a sensor to read its images.
 
-    The command learns from presses of a ball, or of any mesh at a known pose. With --simulated, it learns from
-    simulated presses. Without a table, it detects the ball in the images: check labels.png. A fifth of the presses is
-    held out to measure the errors. Use the result with: run --object FILE --sensor FOLDER --touch photo.png
+    The command learns from presses of a ball, or of any mesh at a known pose. Without a table, it detects the ball in
+    the images: check labels.png. A fifth of the presses is held out to measure the errors. Use the result with: run
+    --object FILE --sensor FOLDER --touch photo.png
     """
     from tactile_loc.sensors.calibration.folder import require_replaceable
     from tactile_loc.sensors.calibration.labelling import label_presses
     from tactile_loc.sensors.calibration.outcome import FolderReading, calibrate_measured, measure_folder
-    from tactile_loc.sensors.reading.estimator import EstimatorRecipe
+    from tactile_loc.sensors.reading.photometric import EstimatorRecipe
     from tactile_loc.store.store import StageStore
 
     require_writable(out)
     require_replaceable(out.absolute())
-    recipe = EstimatorRecipe(estimator, _parse_options(option or []), seed)
-    of_folder = background is not Background.TABLE or image_size is not None or curved
-    _require_one_source(simulated, folder, of_folder, optics is not None or presses is not None)
-    if folder is None:
-        return _calibrate_simulated(sensor, optics, presses, recipe, out, store)
+    recipe = EstimatorRecipe(_parse_options(option or []), seed)
     labels: dict[str, Any] = {}
     doubts: list[str] = []
     scale, view = _state_view(mm_per_px, corners, gel_size, camera_matrix)
@@ -156,16 +127,6 @@ def calibrate(
             say(write_flags(line))
         outcome = calibrate_measured(measured, recipe, StageStore(store), make_progress())
         return {**_finish(outcome, out), **labels}
-
-
-def _require_one_source(simulated: bool, folder: Path | None, of_folder: bool, of_simulation: bool) -> None:
-    """Raise ConfigError unless presses come from one source, and all given options are for it."""
-    if simulated and (folder is not None or of_folder):
-        raise ConfigError("--simulated needs no images; leave out FOLDER, --background, --image-size and --curved")
-    if not simulated and folder is None:
-        raise ConfigError("no presses are given; give FOLDER with images of presses, or --simulated")
-    if not simulated and of_simulation:
-        raise ConfigError("--optics and --presses need --simulated; add it, or leave them out")
 
 
 def _state_view(
@@ -234,16 +195,6 @@ def _describe_labels(labelled: LabelledFolder, ball_radius: float | None) -> tup
     dropped = {press.name: press.dropped for press in found.presses if press.dropped}
     labels = {"table": str(table), "sheet": str(sheet), "used": len(found.used), "dropped": dropped}
     return [*labelled.describe(), f"written: {table} (look at {sheet}; {edit})"], {"labels": labels}
-
-
-def _calibrate_simulated(
-    sensor: str | None, optics: str | None, count: int | None, recipe: EstimatorRecipe, out: Path, store: Path | None
-) -> dict[str, Any]:
-    from tactile_loc.sensors.optics.board_presses import SimulatedSensor, calibrate_simulated
-    from tactile_loc.store.store import StageStore
-
-    made = SimulatedSensor.find(sensor or DEFAULT_SENSOR, optics)
-    return _finish(calibrate_simulated(made, count, recipe, StageStore(store), make_progress()), out)
 
 
 def _finish(outcome: CalibrationOutcome, out: Path) -> dict[str, Any]:

@@ -227,11 +227,7 @@ LIBRARIES = (
         repair=advise_install("libegl1 libgl1-mesa-dri"),
     ),
     Dependency(
-        "torch",
-        ("torch",),
-        "the encoder moco, the estimator cnn, and curved gels",
-        "pip install 'tactile-loc[learned]'",
-        trial="torch",
+        "torch", ("torch",), "the encoder moco, and curved gels", "pip install 'tactile-loc[learned]'", trial="torch"
     ),
     Dependency("kiss_icp", ("kiss-icp",), "the refiner kiss-icp", "pip install 'tactile-loc[kiss]'"),
     Dependency("small_gicp", ("small-gicp",), "the plugin tactile-loc-small-gicp", "pip install small-gicp"),

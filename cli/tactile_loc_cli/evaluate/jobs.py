@@ -67,16 +67,12 @@ class Asked:
     seed: Annotated[
         list[int] | None, declare("--seed N", "Seed of the simulated touches; may be repeated. Default: 0.", min=0)
     ] = None
-    images: Annotated[
-        bool,
-        declare("--images", "Simulate images of the touches, for a sensor that was calibrated on simulated images."),
-    ] = False
     encoder: Annotated[list[str] | None, declare("--encoder NAME", "Encoder; may be repeated. Default: pixel.")] = None
     out: Annotated[Path, declare("--out FOLDER", "Folder of the results.")] = Path("evaluation")
     store: options.Store = None
 
     def __post_init__(self) -> None:
-        simulated = {"--noise": self.noise, "--count": self.count, "--seed": self.seed, "--images": self.images}
+        simulated = {"--noise": self.noise, "--count": self.count, "--seed": self.seed}
         for flag, given in simulated.items():
             if given and self.touches:
                 raise ConfigError(
@@ -114,7 +110,7 @@ class Asked:
 
 
 def list_jobs(given: RunOptions, asked: Asked, touches: SimulatedTouches | None) -> list[Job]:
-    """Return every object with every encoder. The sensor must be able to read the simulated `touches`, if any.
+    """Return every object with every encoder. `touches` are the simulated ones, if any.
 
     Bad input raises its error here, before the first evaluation.
     """
@@ -141,7 +137,7 @@ def list_jobs(given: RunOptions, asked: Asked, touches: SimulatedTouches | None)
         obj = load_object(chosen.path, chosen.units, chosen.symmetry)
         for setting in settings:
             if touches is not None:
-                touches.require_readable(options.open_localizer(setting, None, obj))
+                options.open_localizer(setting, None, obj)
             jobs.append((setting, obj))
     _require_names(jobs)
     return jobs

@@ -31,9 +31,7 @@ SPACING = "grid.spacing_mm="
 
 Given = Annotated[
     RunOptions,
-    options.Takes(
-        "units", "symmetry", "sensor", "zero", *COMPARED, *options.SETTINGS, grid="Poses to search. Default: face."
-    ),
+    options.Takes("units", "symmetry", "sensor", *COMPARED, *options.SETTINGS, grid="Poses to search. Default: face."),
 ]
 Chosen = Annotated[
     Asked,
@@ -42,7 +40,6 @@ Chosen = Annotated[
         "count",
         "noise",
         "seed",
-        "images",
         "encoder",
         "store",
         count=f"Number of single touches, and of examples of several contacts. Default: {TOUCHES} and {EXAMPLES}.",
@@ -98,9 +95,8 @@ def choose_touches(given: RunOptions, asked: Asked) -> SimulatedTouches:
     for flag, values in (("--noise", asked.noises), ("--seed", asked.seeds)):
         if len(values) > 1:
             raise ConfigError(f"`tactile-loc paper` takes a single {flag}; give one")
-    default = "none" if asked.images else DEFAULT_NOISE
-    noise = next(iter(asked.noises), None) or read_setting(given.config, "touch", "noise") or default
-    return SimulatedTouches(str(noise), asked.seeds[0], asked.images)
+    noise = next(iter(asked.noises), None) or read_setting(given.config, "touch", "noise") or DEFAULT_NOISE
+    return SimulatedTouches(str(noise), asked.seeds[0])
 
 
 def _choose_grid(given: RunOptions, quick: bool) -> RunOptions:
@@ -156,7 +152,7 @@ class _Plan:
 
     def describe(self, count: int, noun: str) -> str:
         """Return the number and kind of the touches or examples, in words."""
-        return f"{format_count(count, f'simulated {noun}')} ({self.source.describe_kind()})"
+        return f"{format_count(count, f'simulated {noun}')} (noise: {self.source.noise})"
 
 
 def _name_gallery(name: str, encoder: str) -> str:

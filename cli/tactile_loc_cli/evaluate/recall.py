@@ -47,7 +47,7 @@ def _evaluate_simulated(given: RunOptions, asked: Asked) -> tuple[list[Evaluated
             examples = DrawnExamples(localizer, source, count, together[-1])
             runs.append(_evaluate(job, localizer, examples, together))
     noises = list(dict.fromkeys(source.noise for source in sources))
-    return runs, {"examples": count, "noises": noises, "seeds": list(asked.seeds), "images": asked.images}
+    return runs, {"examples": count, "noises": noises, "seeds": list(asked.seeds)}
 
 
 def _list_sources(given: RunOptions, asked: Asked) -> Iterator[SimulatedTouches]:
@@ -55,10 +55,9 @@ def _list_sources(given: RunOptions, asked: Asked) -> Iterator[SimulatedTouches]
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 
     in_file = read_setting(given.config, "touch", "noise")
-    default = ("none",) if asked.images else (in_file,) if in_file else DEFAULT_NOISES
-    for noise in asked.noises or default:
+    for noise in asked.noises or ((in_file,) if in_file else DEFAULT_NOISES):
         for seed in asked.seeds:
-            yield SimulatedTouches(str(noise), seed, asked.images)
+            yield SimulatedTouches(str(noise), seed)
 
 
 def _evaluate_own(
@@ -123,8 +122,7 @@ def _write_heading(about: dict[str, Any]) -> str:
 
     if "touches" in about:
         return f"Localisation of the whole object: {format_count(about['examples'], 'example')} of your own touches"
-    kind = "images" if about["images"] else ", ".join(map(name_noise, about["noises"]))
-    seeds = ", ".join(map(str, about["seeds"]))
+    kind, seeds = ", ".join(map(name_noise, about["noises"])), ", ".join(map(str, about["seeds"]))
     return (
         f"Localisation of the whole object: {format_count(about['examples'], 'simulated example')} for each object "
         f"({kind}), seed {seeds}"

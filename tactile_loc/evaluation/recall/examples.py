@@ -17,7 +17,7 @@ from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches, read_image
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches
 from tactile_loc.io.touch_lists import Example, read_labelled_touches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.several_touches import Observation
@@ -25,7 +25,6 @@ from tactile_loc.locate.touch_files import match_localizers, read_listed_touch
 from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_arrays
 
-MOST_DRAWS = 100  # most presses for one touch, in case their images show no contact
 RENDERER = "zbuffer"
 OWN = "own touches"  # the noise or kind of labelled touches
 
@@ -47,9 +46,8 @@ class TouchedExample:
 class DrawnExamples:
     """Examples of `most` simulated touches, pressed from random directions and drawn exactly.
 
-    `source` states the noise, the seed, and whether the sensor reads the touches from simulated images. The noise's
-    error of the sensor pose is added to `T_base_sensor` of each touch, and its standard deviation is stated. An example
-    with more touches has the same touches and further ones.
+    `source` states the noise and the seed. The noise's error of the sensor pose is added to `T_base_sensor` of each
+    touch, and its standard deviation is stated. An example with more touches has the same touches and further ones.
     """
 
     localizer: Localizer
@@ -67,8 +65,8 @@ class DrawnExamples:
         rng = np.random.default_rng([self.source.seed, number])
         touches, refused = [], 0
         for k in range(self.most):
-            touch, more = self._draw_touch(f"example-{number:04d}-touch-{k + 1}", rng)
-            touches.append((self.localizer, touch))
+            (touch,), more = self._touches.draw_example(1, rng)
+            touches.append((self.localizer, dataclasses.replace(touch, name=f"example-{number:04d}-touch-{k + 1}")))
             refused += more
         return TouchedExample(tuple(touches), refused)
 
@@ -76,19 +74,6 @@ class DrawnExamples:
         """Return what determines the examples, as JSON values."""
         described = {"most": self.most, "renderer": RENDERER, "press": list(self._touches.press)}
         return {**described, **self.source.describe(self.localizer)}
-
-    def _draw_touch(self, name: str, rng: np.random.Generator) -> tuple[Touch, int]:
-        """Return a touch, and the number of presses that were refused before it."""
-        refused = 0
-        for _ in range(MOST_DRAWS):
-            (touch,), more = self._touches.draw_example(1, rng)
-            refused += more
-            try:
-                seen = read_image(self.localizer, touch, rng) if self.source.images else touch
-                return dataclasses.replace(seen, name=name), refused
-            except TouchError:
-                refused += 1
-        raise TouchError(f"hardly any image of {self.localizer.object.name} shows contact; calibrate the sensor better")
 
     @cached_property
     def _touches(self) -> RobotTouches:

@@ -35,29 +35,17 @@ class CalibratedSensor(DepthSensor):
         image = np.asarray(image)
         if image.ndim == 2 and image.dtype != np.uint8:
             return super().contact_shape(image)
-        known = self.calibration
-        seen, sees_skirt = known.read(image, self.geometry.gel), known.estimator.sees_skirt
-        limits = known.noise_m, sees_skirt, known.false_press_m
-        if not (self.geometry.gel.is_elastic and (sees_skirt or known.geometry.gel.is_elastic)):
+        known, seen = self.calibration, self.calibration.read(image, self.geometry.gel)
+        limits = known.noise_m, known.false_press_m
+        if not self.geometry.gel.is_elastic:
             return find_contact_shape(seen.indentation_m, self.geometry, *limits)
         if self.options.gel is None and known.geometry.gel.is_elastic:
-            return read_by_laws(seen, self.geometry, known.noise_m, known.false_press_m)
-        return find_gel_surface(seen.indentation_m, self.geometry, known.noise_m, known.false_press_m)
+            return read_by_laws(seen, self.geometry, *limits)
+        return find_gel_surface(seen.indentation_m, self.geometry, *limits)
 
     def rectify(self, photo: NDArray[Any]) -> NDArray[Any]:
         """Return the image of equal scale of a photo (H, W, 3). Raises TouchError for a photo of another size."""
         return self.calibration.rectify(photo)
-
-    def simulated_image(self, shape: ContactShape, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """Return the simulated image (H, W, 3) of a contact shape, with the optics of the calibration's images.
-
-        Raises CalibrationError when the sensor was not calibrated on simulated images.
-        """
-        from tactile_loc.sensors.optics.simulate import render_touches
-
-        press_m, background = np.array([shape.press_depth_m]), self.calibration.background
-        optics = self.calibration.optics
-        return render_touches(shape.depth_m[None], press_m, self.geometry, optics, rng, background=background)[0]
 
     def _make_geometry(self) -> SensorGeometry:
         zero = None if self.options.zero is None else Path(self.options.zero).expanduser()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,9 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_photo, write_image
 from tactile_loc.io.sensor_files import CALIBRATION, PhotoKeys, read_sensor_file, write_sensor_file
 from tactile_loc.sensors.calibration.labels import Image
-from tactile_loc.sensors.optics.lamps import Optics
-from tactile_loc.sensors.reading.estimator import GelEstimator, make_estimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.passport import Examination, require_photos
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 from tactile_loc.sensors.reading.reading import (
     Health,
     Seen,
@@ -47,7 +46,7 @@ class _Record(BaseModel):
 
     model_config = ConfigDict(strict=True)
 
-    estimator: str
+    estimator: Literal["photometric"]
     options: dict[str, Any]
     noise_m: float
     health: dict[str, float | None] | None = None
@@ -114,30 +113,22 @@ class Calibration:
         return None if found is None else Health.of_record(found)
 
     @cached_property
-    def estimator(self) -> GelEstimator:
-        """The trained estimator.
-
-        Raises WeightsError when the weights cannot be read, and MissingLibraryError when torch is not installed.
-        """
+    def estimator(self) -> PhotometricEstimator:
+        """The trained estimator. Raises WeightsError when its weights cannot be read."""
         known = self.gel if self.untouched is self.background else UntouchedGel.of(self.background)
         with name_source(self.folder / CALIBRATION):
-            name, options = self.record["estimator"], self.record["options"]
-            estimator = make_estimator(name, options, self.geometry, known.clear)
+            estimator = PhotometricEstimator(self.geometry, known.clear, self.record["options"])
         estimator.load(self.folder / WEIGHTS)
         estimator.untouched = self.gel.clear
         return estimator
 
-    def read_indentation(self, image: NDArray[Any], gel: Gel | None = None) -> NDArray[np.float32]:
-        """Return the indentation (H, W), metres, that an image shows.
+    def read(self, image: NDArray[Any], gel: Gel | None = None) -> Seen:
+        """Return what an image shows.
 
         The image (H, W, 3) has the size of the camera's images or of the sensor. Marker dots are filled in. `gel`
         replaces the elasticity of the calibration's gel. Raises TouchError when the image is of another sensor, or when
         the sensor has changed much. Logs a warning when it has changed less.
         """
-        return self.read(image, gel).indentation_m
-
-    def read(self, image: NDArray[Any], gel: Gel | None = None) -> Seen:
-        """Return what an image shows: see `read_indentation`."""
         image = self.gel.clear_image(require_image(self.rectify(image), self.untouched, self.camera_px))
         seen = read_gel(self.estimator, image, gel or self.geometry.gel)
         if self.usual_health is not None:
@@ -147,32 +138,17 @@ class Calibration:
     def examine(self, photos: Sequence[Image]) -> Examination:
         """Prepare the sensor's checks on photos (H, W, 3) of presses, in the order in which they were taken.
 
-        Raises TouchError for fewer photos than needed, or for another size, and CalibrationError if the sensor does not
-        estimate slopes.
+        Raises TouchError for fewer photos than needed, or for another size.
         """
-        estimator = self.estimator
-        if estimator.read(self.gel.clear)[1] is None:
-            raise CalibrationError(f"{self.folder} does not estimate slopes, so it has no checks; use photometric")
         shown = require_photos([self.rectify(photo) for photo in photos], self.camera_px, self.geometry.shape)
-        return Examination(estimator, self.gel, shown, self.record.get(CHECKED, {}))
-
-    @property
-    def optics(self) -> Optics:
-        """The optics of the simulated training images. Raises CalibrationError if the images were not simulated."""
-        try:
-            return Optics.parse(self.record["simulated"]["optics"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise CalibrationError(
-                f"{self.folder} was not calibrated on simulated images, so no images can be simulated for it; give a "
-                "folder of tactile-loc calibrate --simulated"
-            ) from error
+        return Examination(self.estimator, self.gel, shown, self.record.get(CHECKED, {}))
 
     def describe(self) -> dict[str, Any]:
         """Return JSON values that identify the calibration in store keys."""
         files = {name: hash_file(self.folder / name) for name in (BACKGROUND, WEIGHTS)}
         newer = {} if self.untouched is self.background else {"untouched": hash_arrays(image=self.untouched)}
         photo = {"photo": self.record["photo"]} if self.photo_map is not None else {}
-        return {"geometry": self.geometry.describe(), "estimator": self.record["estimator"], **photo, **files, **newer}
+        return {"geometry": self.geometry.describe(), **photo, **files, **newer}
 
 
 def read_calibration(folder: Path, zero: Path | None = None) -> Calibration:
@@ -230,7 +206,7 @@ def require_replaceable(folder: Path) -> None:
         raise OutputError(f"{folder} contains files that do not belong to a calibration; choose another `out`")
 
 
-def write_calibration(folder: Path, estimator: GelEstimator, untouched: Image, record: dict[str, Any]) -> Path:
+def write_calibration(folder: Path, estimator: PhotometricEstimator, untouched: Image, record: dict[str, Any]) -> Path:
     """Write a calibrated sensor to a folder atomically, and return the folder.
 
     `untouched` (H, W, 3) is the image of the untouched gel, with marker dots. A calibrated sensor that is already in
@@ -238,7 +214,7 @@ def write_calibration(folder: Path, estimator: GelEstimator, untouched: Image, r
     """
     require_replaceable(folder)
     options = estimator.options.model_dump(mode="json")
-    whole = {"schema_version": SCHEMA_VERSION, "estimator": estimator.name, "options": options, **record}
+    whole = {"schema_version": SCHEMA_VERSION, "estimator": "photometric", "options": options, **record}
     with guard_output(folder), replace_folder(folder) as temporary:
         write_sensor_file(temporary / SENSOR, estimator.geometry)
         write_image(temporary / BACKGROUND, untouched)

@@ -5,10 +5,7 @@ along x and y of the sensor frame, unitless. Labels for a pinhole camera are app
 that at the untouched surface.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,57 +120,3 @@ def label_surface(indentation_m: NDArray[np.floating], contact: Mask, geometry: 
     away_m = distance_transform_edt(~contact) * geometry.pixel_pitch_m
     inside = binary_erosion(contact)  # without the border, where central differences halve the slope of a step
     return PressLabel(np.asarray(indentation_m, np.float32), slope, contact, inside | (away_m > SKIRT_M))
-
-
-class LabelledPresses(ABC):
-    """Images of presses on a sensor with a `geometry`, with their labels. Large sets may read images on demand.
-
-    `background` (H, W, 3) is the image of the untouched gel with which images are compared.
-    """
-
-    geometry: SensorGeometry
-    background: Image
-
-    @abstractmethod
-    def __len__(self) -> int:
-        """Return the number of presses."""
-
-    @abstractmethod
-    def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return the image (H, W, 3) and the label of a press."""
-
-    def name(self, number: int) -> str:
-        """Return the name of a press for messages and pictures."""
-        return f"press {number}"
-
-    def read_presses(self) -> Iterator[tuple[Image, PressLabel]]:
-        """Yield the image and the label of every press."""
-        return (self.read_press(number) for number in range(len(self)))
-
-    @property
-    def untouched(self) -> Image:
-        """The image (H, W, 3) of the untouched gel as the camera takes it, with marker dots."""
-        return self.background
-
-    def describe(self) -> dict[str, Any]:
-        """Return JSON values that identify the presses and the sensor in store keys."""
-        raise NotImplementedError
-
-    def record(self) -> dict[str, Any]:
-        """Return what a calibration records about the presses, as JSON values."""
-        return {}
-
-
-class Chosen(LabelledPresses):
-    """A subset of the presses in `whole`: the presses with these `numbers`, in this order."""
-
-    def __init__(self, whole: LabelledPresses, numbers: Sequence[int]) -> None:
-        self.whole, self.numbers = whole, numbers
-        self.geometry, self.background = whole.geometry, whole.background
-
-    def __len__(self) -> int:
-        return len(self.numbers)
-
-    def read_press(self, number: int) -> tuple[Image, PressLabel]:
-        """Return the image (H, W, 3) and the label of a press."""
-        return self.whole.read_press(self.numbers[number])

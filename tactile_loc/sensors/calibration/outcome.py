@@ -15,18 +15,17 @@ from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.sensor_files import read_camera
 from tactile_loc.sensors.calibration.folder import CHECKED, WEIGHTS, write_calibration
-from tactile_loc.sensors.calibration.labels import Chosen, Image, LabelledPresses, PressLabel
+from tactile_loc.sensors.calibration.labels import Image, PressLabel
 from tactile_loc.sensors.calibration.presses import PressFolder, choose_size_px, read_presses
 from tactile_loc.sensors.reading.circles import thin
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe, GelEstimator, make_estimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.passport import ASPECT, EQUAL_SCALES, Examination, measure_usual
 from tactile_loc.sensors.reading.passport import FEWEST as FEWEST_CHECKED
+from tactile_loc.sensors.reading.photometric import EstimatorRecipe, PhotometricEstimator
 from tactile_loc.sensors.reading.reading import find_worst, measure_health, read_gel
-from tactile_loc.slots.encoder import Checkpoints
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.store import StageStore
-from tactile_loc.store.workspace import Workspace, WorkspaceCheckpoints
+from tactile_loc.store.workspace import Workspace
 
 HELD_OUT = 0.2  # share of the presses on which the errors are measured
 FEWEST = 5  # fewest presses for a calibration: four for training and one held out
@@ -50,8 +49,8 @@ class CalibrationOutcome:
     `facts` are sentences about the presses and the gel, if it was measured.
     """
 
-    presses: LabelledPresses
-    estimator: GelEstimator
+    presses: PressFolder
+    estimator: PhotometricEstimator
     record: dict[str, Any]
     facts: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
@@ -92,22 +91,17 @@ class CalibrationOutcome:
         return write_calibration(folder, self.estimator, self.presses.untouched, record)
 
 
-def calibrate(
-    presses: LabelledPresses,
-    recipe: EstimatorRecipe,
-    progress: Progress | None = None,
-    checkpoints: Checkpoints | None = None,
-) -> CalibrationOutcome:
+def calibrate(presses: PressFolder, recipe: EstimatorRecipe, progress: Progress | None = None) -> CalibrationOutcome:
     """Train an estimator on four fifths of the presses, and measure its errors on the other presses.
 
     Raises CalibrationError when there are fewer than FEWEST presses.
     """
     if len(presses) < FEWEST:
         raise CalibrationError(f"there are only {len(presses)} presses; give at least {FEWEST}, better 30")
-    made = make_estimator(recipe.estimator, recipe.options, presses.geometry, presses.background)
+    made = PhotometricEstimator(presses.geometry, presses.background, recipe.options)
     learned, held_out = split(len(presses), recipe.seed)
-    made.fit(Chosen(presses, learned), progress or Progress(), checkpoints or Checkpoints())
-    mean = average_errors([measure_press(made, *presses.read_press(number)) for number in held_out])
+    made.fit(presses.read_presses(learned), progress or Progress())
+    mean = average_errors([measure_press(made, *press) for press in presses.read_presses(held_out)])
     images = (presses.read_press(number)[0] for number in thin(learned, LOOKED_AT))
     usual = find_worst(measure_health(i, made.untouched, made.read(i)[1], made.geometry) for i in images)
     record = {"noise_m": mean.get("untouched_m", 0.0), "held_out": {"presses": list(held_out), "mean": mean}}
@@ -124,20 +118,20 @@ def split(count: int, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return tuple(sorted(drawn[few:].tolist())), tuple(sorted(drawn[:few].tolist()))
 
 
-def measure_press(estimator: GelEstimator, image: Image, label: PressLabel) -> dict[str, float]:
+def measure_press(estimator: PhotometricEstimator, image: Image, label: PressLabel) -> dict[str, float]:
     """Return the errors of an estimator for one press by name, without unknown errors. Lengths are in metres.
 
-    `slope_deg` is the mean absolute error of the surface's angles along x and y in the contact, degrees. It is unknown
-    for an estimator without slopes. `shape_m` is the RMS error of the indentation in the contact after the mean error
-    is subtracted. `depth_m` is the RMS error without this subtraction. It is unknown if the label is not absolute.
-    `untouched_m` is the RMS of the estimated indentation where the gel is untouched.
+    `slope_deg` is the mean absolute error of the surface's angles along x and y in the contact, degrees. `shape_m` is
+    the RMS error of the indentation in the contact after the mean error is subtracted. `depth_m` is the RMS error
+    without this subtraction. It is unknown if the label is not absolute. `untouched_m` is the RMS of the estimated
+    indentation where the gel is untouched.
     """
     indentation, _, slopes = read_gel(estimator, image, estimator.geometry.gel)
     off = indentation - label.indentation_m
     inside = off[label.contact]
     known = label.contact & label.known
     errors = {}
-    if slopes is not None and known.any():
+    if known.any():
         off_rad = np.arctan(slopes[known]) - np.arctan(label.slope[known])
         errors["slope_deg"] = float(np.degrees(np.abs(off_rad)).mean())
     if inside.size:
@@ -155,27 +149,6 @@ def average_errors(errors: Sequence[dict[str, float]]) -> dict[str, float]:
 
 def _rms(values: NDArray[np.floating]) -> float:
     return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
-
-
-def calibrate_stage(
-    presses: LabelledPresses, recipe: EstimatorRecipe, store: StageStore, progress: Progress
-) -> CalibrationOutcome:
-    """Calibrate with presses, or load the stored outcome. The record contains what the presses `record`.
-
-    Raises ConfigError for wrong options of the estimator before anything is stored.
-    """
-    made = make_estimator(recipe.estimator, recipe.options, presses.geometry, presses.background)
-    options = made.options.model_dump(mode="json")
-    described = {"estimator": recipe.estimator, "options": options, "seed": recipe.seed}
-
-    def learn(work: Workspace) -> None:
-        done = calibrate(presses, recipe, progress, WorkspaceCheckpoints(work))
-        work.save_file(WEIGHTS, done.estimator.save)
-        work.save_json(RECORD, done.record)
-
-    artifact = store.build(StageKey("calibration", STAGE_VERSION, {**presses.describe(), **described}), learn)
-    made.load(artifact.find_file(WEIGHTS))
-    return CalibrationOutcome(presses, made, {**artifact.load_json(RECORD), **presses.record()})
 
 
 @dataclass(frozen=True)
@@ -242,16 +215,26 @@ def calibrate_measured(
     presses: PressFolder, recipe: EstimatorRecipe, store: StageStore | None = None, progress: Progress | None = None
 ) -> CalibrationOutcome:
     """Calibrate with presses from `measure_folder`, or load the stored result. Raises ConfigError for wrong options."""
-    outcome = calibrate_stage(presses, recipe, store or StageStore(), progress or Progress())
-    record = {**outcome.record, CHECKED: _check_presses(presses, outcome.estimator)}
-    return replace(outcome, record=record, facts=tuple(presses.list_facts()), doubts=tuple(presses.list_doubts()))
+    made = PhotometricEstimator(presses.geometry, presses.background, recipe.options)
+    described = {"options": made.options.model_dump(mode="json"), "seed": recipe.seed}
+
+    def learn(work: Workspace) -> None:
+        done = calibrate(presses, recipe, progress)
+        work.save_file(WEIGHTS, done.estimator.save)
+        work.save_json(RECORD, done.record)
+
+    key = StageKey("calibration", STAGE_VERSION, {**presses.describe(), **described})
+    artifact = (store or StageStore()).build(key, learn)
+    made.load(artifact.find_file(WEIGHTS))
+    record = {**artifact.load_json(RECORD), **presses.record(), CHECKED: _check_presses(presses, made)}
+    return CalibrationOutcome(presses, made, record, tuple(presses.list_facts()), tuple(presses.list_doubts()))
 
 
-def _check_presses(presses: PressFolder, estimator: GelEstimator) -> dict[str, float]:
+def _check_presses(presses: PressFolder, estimator: PhotometricEstimator) -> dict[str, float]:
     """Return the values of the sensor's checks on some presses of balls; none if there are too few."""
     balls = presses.list_balls()
     some = np.array([presses.images[n] for n in thin(balls, MOST_CHECKED)])
-    if len(some) < FEWEST_CHECKED or estimator.read(some[0])[1] is None:
+    if len(some) < FEWEST_CHECKED:
         return {}
     usual, stretch = measure_usual(Examination(estimator, UntouchedGel.of(presses.background), some)), presses.stretch
     if stretch is not None and stretch.is_clear:  # a stretched imprint is not usual, so that the checks report it

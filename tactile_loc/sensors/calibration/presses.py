@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_photo
 from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.sensors.calibration.gel_fit import BallImage, GelFit, fit_gel, label_elastic_ball, press_balls
-from tactile_loc.sensors.calibration.labels import STEEPEST, Image, LabelledPresses, PressLabel, label_ball, label_mesh
+from tactile_loc.sensors.calibration.labels import STEEPEST, Image, PressLabel, label_ball, label_mesh
 from tactile_loc.sensors.calibration.press_table import KINDS, TABLE, UNTOUCHED, PressRow, read_rows
 from tactile_loc.sensors.calibration.reflectance import BallContact, SeenBalls
 from tactile_loc.sensors.calibration.statement import UNCHECKED, Statement, check_statement
@@ -37,7 +37,7 @@ FOR_MEDIAN = 9  # fewest presses, at different places, whose median shows the un
 
 
 @dataclass(frozen=True, eq=False)
-class PressFolder(LabelledPresses):
+class PressFolder:
     """The presses of a table, with their images in memory.
 
     `images` have the size of `geometry`. `camera` is the geometry of the images before they were reduced. The circles
@@ -66,6 +66,10 @@ class PressFolder(LabelledPresses):
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return the image (H, W, 3) and the label of a press. Raises CalibrationError as `label` does."""
         return self.images[number], self.label(number)
+
+    def read_presses(self, numbers: Iterable[int]) -> Iterator[tuple[Image, PressLabel]]:
+        """Yield the images and the labels of some presses. Raises CalibrationError as `label` does."""
+        return map(self.read_press, numbers)
 
     def name(self, number: int) -> str:
         """Return the name of a press's image."""

@@ -1,27 +1,17 @@
 """The optics of a sensor (coloured lamps, the unpressed gel's curvature, the camera), and the optics of known makes.
 
 Angles and directions refer to the image: x right, y down, and elevation from the sensing surface towards the camera.
-The field's radius is half the sensing rectangle's diagonal. Lengths on the surface are in metres. Impossible values
-raise pydantic's ValidationError.
+The field's radius is half the sensing rectangle's diagonal. Lengths on the surface are in metres.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Annotated, Any
-
-import numpy as np
-from pydantic import Field, TypeAdapter
-from pydantic.dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tactile_loc.core.runtime.errors import ConfigError, advise_choice
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Colour = tuple[Share, Share, Share]
+Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -33,9 +23,9 @@ class Light:
     white, of a surface that faces the lamp.
     """
 
-    direction: tuple[Finite, Finite, Positive]
+    direction: tuple[float, float, float]
     colour: Colour
-    strength: Share
+    strength: float
 
     @classmethod
     def at(cls, azimuth_rad: float, elevation_rad: float, colour: Colour, strength: float) -> Light:
@@ -43,28 +33,6 @@ class Light:
         flat = math.cos(elevation_rad)
         direction = (flat * math.cos(azimuth_rad), flat * math.sin(azimuth_rad), math.sin(elevation_rad))
         return cls(direction, colour, strength)
-
-    @property
-    def azimuth_rad(self) -> float:
-        """The azimuth of the light in the image, radians: 0 is right, pi/2 is below."""
-        return math.atan2(self.direction[1], self.direction[0])
-
-    @property
-    def elevation_rad(self) -> float:
-        """The elevation of the light above the sensing surface, 0 to pi/2 radians."""
-        return math.atan2(self.direction[2], math.hypot(*self.direction[:2]))
-
-    def vary(self, rng: np.random.Generator, strength: float) -> Light:
-        """Return a random variant of the light; `strength` 1 (unitless) is the usual spread between sensors."""
-        up, *colour, turned, brighter, _ = strength * rng.normal(size=7)  # seven, as when lamps had a distance
-        elevation = self.elevation_rad + math.radians(3) * up
-        red, green, blue = (c * math.exp(0.1 * spread) for c, spread in zip(self.colour, colour, strict=True))
-        return Light.at(
-            self.azimuth_rad + math.radians(6) * turned,
-            min(max(elevation, math.radians(5)), math.radians(89)),
-            (red, green, blue),
-            self.strength * math.exp(0.15 * brighter),
-        )
 
 
 @dataclass(frozen=True)
@@ -79,55 +47,19 @@ class Optics:
     white pixel.
     """
 
-    lights: Annotated[tuple[Light, ...], Field(min_length=1)]
+    lights: tuple[Light, ...]
     ambient: Colour = (0.0, 0.0, 0.0)
-    dome: Finite = 0.0
-    specular: Share = 0.0
-    shininess: Share = 20.0
-    vignetting: Annotated[float, Field(ge=0, le=1)] = 0.0
-    blur_m: Share = 0.0
-    read_noise: Share = 0.0
-    shot_noise: Share = 0.0
-
-    def describe(self) -> dict[str, Any]:
-        """Return the settings as JSON values that identify the optics."""
-        described: dict[str, Any] = TypeAdapter(Optics).dump_python(self, mode="json")
-        return described
-
-    @classmethod
-    def parse(cls, described: Mapping[str, Any]) -> Optics:
-        """Return optics from the values of `describe`. Raises ValidationError for other values."""
-        return TypeAdapter(cls).validate_python(described)
+    dome: float = 0.0
+    specular: float = 0.0
+    shininess: float = 20.0
+    vignetting: float = 0.0
+    blur_m: float = 0.0
+    read_noise: float = 0.0
+    shot_noise: float = 0.0
 
     def remove_noise(self) -> Optics:
         """Return the same optics without the camera's noise."""
         return replace(self, read_noise=0.0, shot_noise=0.0)
-
-    def vary(self, rng: np.random.Generator, strength: float = 1.0) -> Optics:
-        """Return random optics, as another sensor of this make may have: lights, exposure, dome, blur and noise differ.
-
-        `strength` (unitless) scales the spread: 0 gives the same optics, 1 the usual spread.
-        """
-        if strength == 0:
-            return self
-
-        def scaled(value: float, spread: float) -> float:
-            return value * math.exp(spread * strength * rng.normal())
-
-        exposure = scaled(1.0, 0.1)
-        lights = tuple(light.vary(rng, strength) for light in self.lights)
-        red, green, blue = (exposure * scaled(a, 0.2) for a in self.ambient)
-        return replace(
-            self,
-            lights=tuple(replace(light, strength=exposure * light.strength) for light in lights),
-            ambient=(red, green, blue),
-            dome=scaled(self.dome, 0.3),
-            specular=scaled(self.specular, 0.2),
-            vignetting=min(1.0, scaled(self.vignetting, 0.2)),
-            blur_m=scaled(self.blur_m, 0.2),
-            read_noise=scaled(self.read_noise, 0.2),
-            shot_noise=scaled(self.shot_noise, 0.2),
-        )
 
 
 def _arrange(*lamps: tuple[float, float, float, Colour]) -> tuple[Light, ...]:
@@ -136,7 +68,7 @@ def _arrange(*lamps: tuple[float, float, float, Colour]) -> tuple[Light, ...]:
 
 
 GENERIC = "gelslim"
-OPTICS = {  # matched to photos of balls pressed into one sensor of each make; other sensors differ: see `Optics.vary`
+OPTICS = {  # matched to photos of balls pressed into one sensor of each make; other sensors differ
     "gelslim": Optics(
         _arrange((-29, 23, 1.4, (1.0, 0.0, 0.0)), (117, 22, 0.6, (0.0, 1.0, 0.15)), (205, 28, 1.2, (0.0, 0.1, 1.0))),
         ambient=(0.03, 0.35, 0.03),

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.noise import GelPixels
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.optics.lamps import Light, Optics
@@ -19,23 +18,13 @@ WHITE = 255.0  # counts of a full white pixel
 
 
 def render_images(
-    indentation_m: NDArray[np.floating[Any]],
-    geometry: SensorGeometry,
-    optics: Optics,
-    rng: np.random.Generator,
-    background: Image | None = None,
+    indentation_m: NDArray[np.floating[Any]], geometry: SensorGeometry, optics: Optics, rng: np.random.Generator
 ) -> Image:
     """Return the camera's images (N, H, W, 3) uint8 RGB of indentations (N, H, W), metres.
 
-    `background` (H, W, 3) uint8 is a photo of the unpressed sensor. If it is given, the simulated change is added to
-    the photo. Outside the sensing rectangle, a press changes pixels only by the lens's blur. Raises ConfigError for
-    a photo that does not fit the sensor.
+    Outside the sensing rectangle, a press changes pixels only by the lens's blur.
     """
-    counts = _compute_brightness(np.asarray(indentation_m, np.float32), geometry, optics)
-    if background is not None:
-        unpressed = _compute_brightness(np.zeros((1, *geometry.shape), np.float32), geometry, optics)
-        counts += _check_photo(background, geometry) - unpressed
-    return _expose(counts, optics, rng)
+    return _expose(_compute_brightness(np.asarray(indentation_m, np.float32), geometry, optics), optics, rng)
 
 
 def render_background(geometry: SensorGeometry, optics: Optics) -> Image:
@@ -107,16 +96,6 @@ def _shade(light: Light, slope_x: Float32, slope_y: Float32, upright: Float32, o
         half = np.maximum(((1 + z) - x * slope_x - y * slope_y) * upright / length, 0)
         shade += np.where(shade > 0, np.float32(optics.specular) * half ** np.float32(optics.shininess), 0)
     return shade
-
-
-def _check_photo(background: Image, geometry: SensorGeometry) -> Float32:
-    """Check a photo (H, W, 3) and return it as counts (3, 1, H, W)."""
-    if background.shape != (*geometry.shape, 3) or background.dtype != np.uint8:
-        raise ConfigError(
-            f"the background is {background.dtype} of shape {background.shape}; it must be uint8 RGB of the sensor's "
-            f"size, {geometry.shape} (rows, columns)"
-        )
-    return np.moveaxis(background.astype(np.float32), -1, 0)[:, None]
 
 
 def _expose(counts: Float32, optics: Optics, rng: np.random.Generator) -> Image:

@@ -15,8 +15,8 @@ from scipy.ndimage import gaussian_filter, median_filter
 from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.sensors.calibration.labels import Float32, Image
 from tactile_loc.sensors.reading.circles import compare_colours, find_imprint
-from tactile_loc.sensors.reading.estimator import GelEstimator
 from tactile_loc.sensors.reading.markers import UntouchedGel
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 from tactile_loc.sensors.reading.reading import LEAST_M, measure_press_m, reduce_image
 
 FEWEST = 3  # fewest photos whose middle shows the untouched gel
@@ -77,7 +77,7 @@ class Examination:
     The sensor has an `estimator` and an untouched `gel`. `usual` are the values of `measure_usual` at its calibration.
     """
 
-    estimator: GelEstimator
+    estimator: PhotometricEstimator
     gel: UntouchedGel
     photos: NDArray[np.uint8]
     usual: Mapping[str, float] = field(default_factory=dict)
@@ -124,7 +124,6 @@ class Examination:
     def read(self, image: Float32) -> tuple[Float32, Slopes]:
         """Return the indentation (H, W), metres, and the slopes (H, W, 2) in an image (H, W, 3), counts."""
         indentation, slopes = self.estimator.read(np.clip(np.rint(image), 0, 255).astype(np.uint8))
-        assert slopes is not None
         return indentation, slopes.astype(np.float64)
 
     @cached_property

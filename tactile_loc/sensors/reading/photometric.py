@@ -1,4 +1,4 @@
-"""Estimates the gel's slope from the colour of each pixel, and integrates the slopes to heights.
+"""Estimates the gel's slope from the colour of each pixel, and integrates the slopes to the gel's indentation.
 
 The network learns from a few dozen presses of a ball. The method is photometric stereo with measured instead of
 modelled light, after Johnson and Adelson (CVPR 2009). Wang et al. (GelSight Wedge, ICRA 2021) found that a small
@@ -8,30 +8,45 @@ the gel is untouched, and subtracted.
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc.core.runtime.compiled import use_one_blas_thread
-from tactile_loc.core.runtime.errors import CalibrationError, TrainingError
+from tactile_loc.core.runtime.errors import CalibrationError, TrainingError, WeightsError
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.labels import Float32, Image, LabelledPresses, PressLabel
-from tactile_loc.sensors.reading.estimator import DIFFERENCE, FIXED, GelEstimator, scale_difference
+from tactile_loc.sensors.calibration.labels import Float32, Image, PressLabel
 from tactile_loc.sensors.reading.surface import find_indentation
-from tactile_loc.slots.encoder import Checkpoints
+from tactile_loc.slots.options import validate_options
 
 SMOOTHINGS_PX = (1.0, 3.0)  # Gaussian widths that smooth the colour difference: against noise, and for the surroundings
-FEATURES = DIFFERENCE * len(SMOOTHINGS_PX) + FIXED
+FIXED = 5  # number of features that no touch changes
+FEATURES = 3 * len(SMOOTHINGS_PX) + FIXED
+COLOUR_STEP = 64.0  # colour difference that is scaled to 1, counts of 255
+BACKGROUND_M = 2e-4  # standard deviation of the smoothing that removes the background's grain
 OUTLIER_RAD = 0.1  # error of the angle above which the loss is linear
 STEPS_A_PRESS, MOST_STEPS = 150, 7500
 BETAS, DECAY = (0.9, 0.999), 1e-3  # of AdamW: the means' memory, and the weights' decay
 REPORT_EVERY = 50  # steps
 LEAST_SLOPE = 0.02  # of the gel beside a contact; flatter pixels count as untouched
 SEAM_PX = 20.0  # distance from a seam of two presses up to which pixels count
+
+
+@dataclass(frozen=True)
+class EstimatorRecipe:
+    """How to learn an estimator: its options by name, and the seed that draws the held-out presses."""
+
+    options: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
 
 
 class SlopeNetwork:
@@ -106,10 +121,12 @@ class SlopeNetwork:
         return slopes + (one["linear.bias"] + one["bent.4.bias"]), first, second
 
 
-class PhotometricEstimator(GelEstimator):
-    """Estimates each pixel's slope from its colour difference, background and position, and integrates the slopes."""
+class PhotometricEstimator:
+    """Estimates each pixel's slope from its colour difference, background and position, and integrates the slopes.
 
-    name = "photometric"
+    `background` (H, W, 3) shows the untouched gel at the time of training. Images are compared with `untouched`, which
+    is the same image or a newer image of the untouched gel. Raises ConfigError for unknown or ill-typed options.
+    """
 
     class Options(ComponentOptions):
         """The network and its training."""
@@ -123,19 +140,21 @@ class PhotometricEstimator(GelEstimator):
         untouched: float = Field(default=0.5, ge=0, le=10, description="untouched pixels for each pixel in contact")
         seed: int = Field(default=0, ge=0, description="seed of the training")
 
-    def __init__(self, geometry: SensorGeometry, background: Image, options: ComponentOptions | None = None) -> None:
-        super().__init__(geometry, background, options)
+    def __init__(self, geometry: SensorGeometry, background: Image, options: Mapping[str, Any] | None = None) -> None:
+        self.options = validate_options(self.Options, options or {}, "the estimator")
+        self.geometry, self.background, self.untouched = geometry, background, background
+        self._fixed = stack_fixed_features(background, geometry)
         self._network = SlopeNetwork(self.options.hidden, np.random.default_rng(self.options.seed))
 
-    def fit(self, presses: LabelledPresses, progress: Progress, checkpoints: Checkpoints) -> None:
-        """Learn the slopes of the pixels in contact and of some untouched pixels.
+    def fit(self, presses: Iterable[tuple[Image, PressLabel]], progress: Progress) -> None:
+        """Learn from labelled images the slopes of the pixels in contact and of some untouched pixels.
 
         Raises CalibrationError when no press shows contact, and TrainingError when the loss becomes NaN.
         """
-        features, slopes = self._collect_samples(presses)
+        features, slopes, count = self._collect_samples(presses)
         angles = np.arctan(slopes)
         rng = np.random.default_rng(self.options.seed)
-        steps = self.options.steps or min(STEPS_A_PRESS * len(presses), MOST_STEPS)
+        steps = self.options.steps or min(STEPS_A_PRESS * count, MOST_STEPS)
         rates = (self.options.rate * 0.5 * (1.003 + math.cos(math.pi * step / steps)) for step in range(steps))
 
         def draw() -> tuple[Float32, Float32]:
@@ -148,34 +167,57 @@ class PhotometricEstimator(GelEstimator):
                     progress.note(f"mean error of the angle {math.degrees(float(np.abs(off_rad).mean())):.2f}°")
                 advance(1)
 
-    def list_weights(self) -> Mapping[str, Float32]:
-        """Return the network's weights by name."""
-        return self._network.weights
-
     def estimate_slopes(self, image: Image) -> Float32:
         """Return the slopes (H, W, 2) of the gel's surface along x and y, unitless."""
         return self._network.predict(self._stack_features(image).reshape(-1, FEATURES)).reshape(*image.shape[:2], 2)
 
     def read(self, image: Image) -> tuple[Float32, Float32]:
-        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, that were integrated."""
+        """Return the indentation (H, W), metres, and the slopes (H, W, 2), unitless, that were integrated.
+
+        The indentation is about 0 where the gel is untouched.
+        """
         slopes = self.estimate_slopes(image)
         return find_indentation(slopes, self.geometry), slopes
 
+    def save(self, path: Path) -> None:
+        """Write the network's weights to a safetensors file."""
+        save_file({name: np.asarray(one, order="C") for name, one in self._network.weights.items()}, path)
+
+    def load(self, path: Path) -> None:
+        """Read the network's weights from a safetensors file.
+
+        Raises WeightsError when the file is damaged or belongs to another network.
+        """
+        mine = self._network.weights
+        try:
+            stored = load_file(path)
+            if {name: one.shape for name, one in stored.items()} != {name: one.shape for name, one in mine.items()}:
+                raise ValueError("its tensors have other names or shapes")
+        except (SafetensorError, ValueError, OSError) as error:
+            reason = str(error).splitlines()[0]
+            raise WeightsError(
+                f"{path} cannot be read as the weights of an estimator ({reason}); calibrate the sensor again"
+            ) from error
+        for name, one in mine.items():
+            np.copyto(one, stored[name])
+
     def _stack_features(self, image: Image) -> Float32:
-        planes = np.ascontiguousarray(np.moveaxis(scale_difference(image, self.untouched), -1, 0))  # twice as fast
+        difference = (image.astype(np.float32) - self.untouched) / np.float32(COLOUR_STEP)
+        planes = np.ascontiguousarray(np.moveaxis(difference, -1, 0))  # twice as fast
         smooth = [gaussian_filter(planes, (0, s, s), mode="nearest", truncate=3) for s in SMOOTHINGS_PX]
         return np.concatenate([np.moveaxis(np.concatenate(smooth), 0, -1), self._fixed], axis=-1)
 
-    def _collect_samples(self, presses: LabelledPresses) -> tuple[Float32, Float32]:
-        """Return features (P, FEATURES) and slopes (P, 2) of the training pixels.
+    def _collect_samples(self, presses: Iterable[tuple[Image, PressLabel]]) -> tuple[Float32, Float32, int]:
+        """Return features (P, FEATURES) and slopes (P, 2) of the training pixels, and the number of presses.
 
         These are all pixels with a known label that are in contact or slope, some other pixels, and pixels at seams of
         every two presses.
         """
         rng, at_seams = (np.random.default_rng([self.options.seed, part]) for part in range(2))
-        features, slopes, touched = [], [], 0
+        features, slopes, touched, count = [], [], 0, 0
         alone: tuple[Image, PressLabel] | None = None
-        for image, label in presses.read_presses():
+        for image, label in presses:
+            count += 1
             inside = label.known & (label.contact | _slopes_visibly(label.slope))
             touched += int((label.known & label.contact).sum())
             outside = np.flatnonzero(label.known & ~inside)
@@ -192,7 +234,7 @@ class PhotometricEstimator(GelEstimator):
             alone = None
         if not touched:
             raise CalibrationError("no press is in contact with the gel; check the poses or circles of the presses")
-        return np.concatenate(features), np.concatenate(slopes)
+        return np.concatenate(features), np.concatenate(slopes), count
 
     def _join(
         self, image: Image, label: PressLabel, other: Image, beside: PressLabel, rng: np.random.Generator
@@ -217,3 +259,15 @@ class PhotometricEstimator(GelEstimator):
 def _slopes_visibly(slope: Float32) -> NDArray[np.bool_]:
     """Mark the pixels (H, W) at which the slope (H, W, 2) is that of touched gel."""
     return np.asarray(np.hypot(slope[..., 0], slope[..., 1]) > LEAST_SLOPE)
+
+
+def stack_fixed_features(background: Image, geometry: SensorGeometry) -> Float32:
+    """Return the constant features (H, W, FIXED): the smoothed background's colours and the pixels' x and y.
+
+    The values are between -1 and 1.
+    """
+    sigma = BACKGROUND_M / geometry.pixel_pitch_m
+    colour = gaussian_filter(background.astype(np.float32), (sigma, sigma, 0), mode="nearest") / 127.5 - 1
+    height, width = geometry.shape
+    y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
+    return np.concatenate([colour, x[..., None], y[..., None]], axis=-1).astype(np.float32)

@@ -11,7 +11,7 @@ import logging
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,8 @@ from tactile_loc.core.sensing.gel_surface import recover_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
 from tactile_loc.sensors.calibration.labels import Float32, Image
+from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 from tactile_loc.sensors.reading.surface import differentiate, integrate
-
-if TYPE_CHECKING:
-    from tactile_loc.sensors.reading.estimator import GelEstimator
 
 logger = logging.getLogger(__name__)
 
@@ -116,11 +114,7 @@ def extrapolate_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeom
 
 
 def find_contact_shape(
-    indentation_m: NDArray[np.float32],
-    geometry: SensorGeometry,
-    noise_m: float,
-    sees_skirt: bool = True,
-    false_press_m: float = 0.0,
+    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, false_press_m: float = 0.0
 ) -> ContactShape:
     """Return the contact shape that an indentation (H, W), metres, shows.
 
@@ -129,16 +123,11 @@ def find_contact_shape(
 
     The gel follows the object in the contact. Around the contact, its skirt slopes to the untouched surface.
     `find_contact` separates contact and skirt. The shape is cut at the indentation that gives the same contact area, so
-    its press depth is smaller than the full press depth. The full press depth becomes the shape's `indentation_m`. If
-    the indentation has no skirt (`sees_skirt` is False), all pixels above the detection limit are in contact.
+    its press depth is smaller than the full press depth. The full press depth becomes the shape's `indentation_m`.
 
     Raises NoContactError when the press depth is below the detection limit.
     """
-    press, least = _require_press(indentation_m, geometry, noise_m, false_press_m)
-    if not sees_skirt:
-        contact = geometry.observed_mask & (indentation_m > least)
-        depth = np.maximum(np.float32(press) - indentation_m, 0)
-        return ContactShape(np.where(contact, depth, press).astype(np.float32), press)
+    press = _require_press(indentation_m, geometry, noise_m, false_press_m)
     contact = find_contact(indentation_m, press, geometry)
     observed = np.sort(indentation_m[geometry.observed_mask])
     pixels = min(int(np.count_nonzero(contact)), len(observed) - 1)
@@ -152,20 +141,17 @@ def find_contact_shape(
 
 
 class Seen(NamedTuple):
-    """What an image shows: indentations (H, W), metres, of the gel's surface and of a rigid gel, and slopes (H, W, 2).
-
-    The slopes are None if the estimator does not use slopes. Then both indentations are what the estimator says.
-    """
+    """What an image shows: the indentations (H, W), metres, of the gel and of a rigid gel, and the slopes (H, W, 2)."""
 
     indentation_m: Float32
     rigid_m: Float32
-    slopes: Float32 | None
+    slopes: Float32
 
 
-def read_gel(estimator: GelEstimator, image: Image, gel: Gel) -> Seen:
+def read_gel(estimator: PhotometricEstimator, image: Image, gel: Gel) -> Seen:
     """Return what an image (H, W, 3) shows. The surface of an elastic gel is recovered by contact mechanics."""
     integrated, slopes = estimator.read(image)
-    if slopes is None or not gel.is_elastic:
+    if not gel.is_elastic:
         return Seen(integrated, integrated, slopes)
     return Seen(recover_indentation(integrated, slopes, replace(estimator.geometry, gel=gel)), integrated, slopes)
 
@@ -211,15 +197,15 @@ def read_by_laws(seen: Seen, geometry: SensorGeometry, noise_m: float, false_pre
     if touching.any():
         otherwise.append((geometry.gel, replace(surface, touching=touching)))
     with suppress(NoContactError):
-        rigid = find_contact_shape(seen.rigid_m, geometry, noise_m, false_press_m=false_press_m)
+        rigid = find_contact_shape(seen.rigid_m, geometry, noise_m, false_press_m)
         otherwise.append((RIGID, rigid))
     return replace(surface, otherwise=tuple(otherwise))
 
 
 def _require_press(
     indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, false_press_m: float
-) -> tuple[float, float]:
-    """Return the press depth and the detection limit, metres. Raises NoContactError if the press is below the limit."""
+) -> float:
+    """Return the press depth, metres. Raises NoContactError if it is below the detection limit."""
     press = measure_press_m(indentation_m, geometry)
     least = max(LEAST_M, ABOVE_NOISE * noise_m, min(ABOVE_FALSE * false_press_m, MOST_FALSE_M))
     if press < least:
@@ -227,7 +213,7 @@ def _require_press(
             f"no contact: the deepest press is {max(0.0, 1e3 * press):.2g} mm, below this image's detection limit of "
             f"{1e3 * least:.2g} mm"
         )
-    return min(press, geometry.max_depth_m), least
+    return min(press, geometry.max_depth_m)
 
 
 def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:
@@ -263,7 +249,7 @@ class Health:
     the whole image, but even a large contact leaves this share of the pixels untouched.
 
     `unfit` is the share of the steep slopes that fits no surface: the RMS of the residuals divided by the RMS of the
-    slopes. It is NaN if slopes are not estimated or too few pixels are steep.
+    slopes. It is NaN if too few pixels are steep.
     """
 
     light: float
@@ -284,12 +270,12 @@ class Health:
         return cls(*(np.nan if record[name] is None else float(record[name]) for name in ("light", "unfit")))
 
 
-def measure_health(image: Image, untouched: Image, slopes: Float32 | None, geometry: SensorGeometry) -> Health:
-    """Return the health of an image (H, W, 3), given the estimated `slopes` (H, W, 2), or None without slopes."""
+def measure_health(image: Image, untouched: Image, slopes: Float32, geometry: SensorGeometry) -> Health:
+    """Return the health of an image (H, W, 3), given the estimated `slopes` (H, W, 2)."""
     difference = np.moveaxis(image.astype(np.float32) - untouched, -1, 0)
     smooth = np.stack([gaussian_filter(plane, SMOOTHING_PX) for plane in difference])
     light = float(np.quantile(np.abs(smooth).max(axis=0)[::2, ::2], QUIETEST))
-    return Health(light, np.nan if slopes is None else _measure_unfit(slopes, geometry))
+    return Health(light, _measure_unfit(slopes, geometry))
 
 
 def _measure_unfit(slopes: Float32, geometry: SensorGeometry) -> float:

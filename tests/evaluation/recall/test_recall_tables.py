@@ -13,7 +13,7 @@ from tactile_loc.evaluation.recall import tables
 from tactile_loc.evaluation.recall.bop import COLUMNS, OURS, format_results, make_scenes, make_truth, write_bop
 from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable, join_runs
 
-ABOUT = {"examples": 12, "noises": ["none", "strong"], "seeds": [5], "images": False}
+ABOUT = {"examples": 12, "noises": ["none", "strong"], "seeds": [5]}
 
 
 @pytest.fixture

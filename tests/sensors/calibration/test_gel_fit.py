@@ -115,7 +115,7 @@ def test_real_presses_give_absolute_depths(shared_data, tmp_path):
     assert presses.fit is not None
     assert presses.fit.rms < 0.2 * presses.fit.rigid_rms
     geometry = presses.geometry
-    estimator = calibrate(presses, EstimatorRecipe("photometric")).estimator
+    estimator = calibrate(presses, EstimatorRecipe()).estimator
 
     def read(path: Path) -> np.ndarray:
         image = np.asarray(Image.open(path).convert("RGB"))

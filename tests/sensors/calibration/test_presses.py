@@ -47,7 +47,7 @@ def test_written_balls_are_read_back(folder):
     presses = read_presses(folder, GEOMETRY)
     assert len(presses) == 3
     np.testing.assert_array_equal(presses.background, BALLS.background)
-    for number, (image, label) in enumerate(presses.read_presses()):
+    for number, (image, label) in enumerate(presses.read_presses(range(len(presses)))):
         np.testing.assert_array_equal(image, BALLS.images[number])
         known = BALLS.read_press(number)[1]
         np.testing.assert_allclose(label.indentation_m, known.indentation_m, atol=1e-9)
@@ -62,7 +62,7 @@ def test_images_and_labels_are_reduced_together(tmp_path):
     assert presses.geometry.is_same_sensor(GEOMETRY)
     assert presses.camera is larger.geometry
     np.testing.assert_array_equal(presses.background, BALLS.background)
-    for number, (image, label) in enumerate(presses.read_presses()):
+    for number, (image, label) in enumerate(presses.read_presses(range(len(presses)))):
         np.testing.assert_array_equal(image, BALLS.images[number])
         np.testing.assert_allclose(label.indentation_m, BALLS.read_press(number)[1].indentation_m, atol=1e-9)
 

@@ -6,11 +6,9 @@ import math
 import numpy as np
 import pytest
 from imaging_helpers import ball_depth, lamp, lit, presses, rng, sensor, tip_depth
-from message_helpers import naming
 from press_sets import places
 from scipy.special import ndtr
 
-from tactile_loc.core.runtime.errors import ConfigError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.optics.lamps import OPTICS, Optics
 from tactile_loc.sensors.optics.shading import measure_slopes, render_background, render_images
@@ -19,8 +17,8 @@ from tactile_loc.sensors.optics.simulate import press_gel
 ELEVATION = math.radians(30)
 
 
-def rendered(indentation, geometry, optics, seed=0, photo=None) -> np.ndarray:
-    return render_images(indentation, geometry, optics, rng(seed), photo)
+def rendered(indentation, geometry, optics, seed=0) -> np.ndarray:
+    return render_images(indentation, geometry, optics, rng(seed))
 
 
 def plane(geometry: SensorGeometry, slope_x: float, slope_y: float) -> np.ndarray:
@@ -74,26 +72,13 @@ def test_a_flat_tip_has_the_colour_of_the_unpressed_gel_inside():
         assert np.median(change[wall]) > 25, name
 
 
-def test_a_photo_or_the_background_stays_unchanged_without_press_and_noise():
+def test_an_image_without_press_and_noise_is_the_background():
     geometry, unpressed = sensor(), np.zeros((2, 80, 80), np.float32)
-    photo = rng().integers(0, 256, (80, 80, 3), dtype=np.uint8)
     for optics in OPTICS.values():
-        for own, expected in ((photo, photo), (None, render_background(geometry, optics))):
-            assert expected.shape == (80, 80, 3)
-            pictures = rendered(unpressed, geometry, optics.remove_noise(), photo=own)
-            assert np.array_equal(pictures, np.stack([expected, expected]))
-
-
-def test_a_press_changes_a_photo_as_it_changes_the_rendered_gel():
-    geometry = sensor()
-    optics = lit("right", "above")
-    surface = press_gel(ball_depth(geometry), presses(), geometry)
-    own = render_background(geometry, optics)
-    photo = (own - np.uint8(20)).astype(np.uint8)
-    change = rendered(surface, geometry, optics)[0].astype(int) - own
-    on_photo = rendered(surface, geometry, optics, photo=photo)[0].astype(int) - photo
-    free = (own + change > 22) & (own + change < 254)  # neither black nor white
-    assert on_photo[free] == pytest.approx(change[free], abs=1)
+        expected = render_background(geometry, optics)
+        assert expected.shape == (80, 80, 3)
+        pictures = rendered(unpressed, geometry, optics.remove_noise())
+        assert np.array_equal(pictures, np.stack([expected, expected]))
 
 
 def test_the_lens_blurs_by_its_width_in_metres():
@@ -159,16 +144,3 @@ def test_pixels_outside_the_sensing_rectangle_do_not_change():
     changed = (rendered(ball, geometry, optics)[0] != render_background(geometry, optics)).any(axis=-1)
     assert changed.any()
     assert not (changed & ~geometry.observed_mask).any()
-
-
-@pytest.mark.parametrize(
-    ("photo", "values"),
-    [
-        (np.zeros((80, 80), np.uint8), ("background", "(80, 80)")),
-        (np.zeros((40, 80, 3), np.uint8), ("background", "(40, 80, 3)")),
-        (np.zeros((80, 80, 3)), ("(80, 80, 3)", "float64")),
-    ],
-)
-def test_photos_that_do_not_fit_are_refused(photo, values):
-    with pytest.raises(ConfigError, match=naming(*values)):
-        rendered(np.zeros((1, 80, 80)), sensor(), lit("right"), photo=photo)

@@ -18,8 +18,8 @@ from tactile_loc.sensors.calibration.presses import read_presses
 from tactile_loc.sensors.calibration.unlabelled import find_presses
 from tactile_loc.sensors.optics.lamps import OPTICS
 from tactile_loc.sensors.optics.shading import render_background
-from tactile_loc.sensors.reading.estimator import EstimatorRecipe
 from tactile_loc.sensors.reading.markers import UntouchedGel, continue_values, find_dots, mark_dots, match_dots
+from tactile_loc.sensors.reading.photometric import EstimatorRecipe
 
 PX = 160
 GEOMETRY = sensor(PX)
@@ -183,7 +183,7 @@ def test_labelled_presses_are_read_without_their_dots(dotted):
 def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
     folder, balls, places = dotted
     presses = read_presses(folder, balls.geometry)
-    recipe = EstimatorRecipe("photometric", TINY)
+    recipe = EstimatorRecipe(TINY)
     plain = calibrate(balls, recipe)
     made = calibrate(presses, recipe)
     record = {**made.record, **presses.record()}
@@ -191,13 +191,13 @@ def test_a_calibrated_sensor_reads_images_with_dots(dotted, tmp_path):
     assert len(known.gel.dots) == json.loads((tmp_path / "sensor" / "calibration.json").read_text())["dots"]["count"]
     ball = ball_indentation(GEOMETRY, 1e-3, -1e-3, 0.6e-3)
     touch = photographed(ball[None], GEOMETRY)[0]
-    wanted = plain.estimator.read_indentation(touch)
-    found = known.read_indentation(draw(touch, move(places, ball, 2.5), 4))
+    wanted = plain.estimator.read(touch)[0]
+    found = known.read(draw(touch, move(places, ball, 2.5), 4)).indentation_m
     assert np.sqrt(((found - wanted) ** 2).mean()) < 0.03 * MM
     turned = draw(balls.background, lattice(15, turn=0.3), 4)
     write_image(tmp_path / "zero.png", turned)
     newer = read_calibration(tmp_path / "sensor", tmp_path / "zero.png")
-    assert np.abs(newer.read_indentation(turned)).max() < 0.05 * MM
+    assert np.abs(newer.read(turned).indentation_m).max() < 0.05 * MM
     assert np.abs(newer.estimator.untouched.astype(int) - balls.background).max() < 16
     np.testing.assert_array_equal(newer.untouched, turned)
 

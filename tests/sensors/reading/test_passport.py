@@ -10,7 +10,7 @@ from press_sets import TINY, ball_set, write_image, write_table
 from scipy.ndimage import gaussian_filter
 
 from tactile_loc import EstimatorRecipe, StageStore, calibrate_folder
-from tactile_loc.core.runtime.errors import CalibrationError, TouchError
+from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.folder import CHECKED, Calibration, read_calibration
 from tactile_loc.sensors.reading.passport import CHECKS, examine_photos
@@ -24,7 +24,7 @@ GEL = BALLS.background.astype(float)
 def sensor(tmp_path_factory) -> Calibration:
     folder = tmp_path_factory.mktemp("checked")
     presses = BALLS.write(folder / "presses")
-    recipe = EstimatorRecipe("photometric", {**TINY, "steps": 500})
+    recipe = EstimatorRecipe({**TINY, "steps": 500})
     outcome = calibrate_folder(presses, presses / "sensor.toml", recipe, store=StageStore(folder / "store"))
     return read_calibration(outcome.write(folder / "sensor"))
 
@@ -106,13 +106,6 @@ def test_too_few_photos_and_photos_of_another_size_are_refused(sensor):
         sensor.examine([photo[:60] for photo in PHOTOS])
 
 
-def test_a_sensor_without_slopes_has_no_checks(sensor, monkeypatch):
-    blind = replace(sensor)
-    monkeypatch.setattr(type(blind.estimator), "read", lambda self, image: (image[..., 0] * 0.0, None))
-    with pytest.raises(CalibrationError):
-        blind.examine(PHOTOS)
-
-
 def test_photos_that_were_stretched_at_the_calibration_are_named(tmp_path):
     stretched = MAPS["stretched"]
     folder = BALLS.write(tmp_path / "presses")
@@ -123,7 +116,7 @@ def test_photos_that_were_stretched_at_the_calibration_are_named(tmp_path):
         row |= {"center_x_px": 1.2 * row["center_x_px"], "radius_px": 1.2**0.5 * row["radius_px"]}
     write_table(folder, rows)
     square = SensorGeometry("orthographic", 96, 80, 5e3, 5e3, 48, 40, 0.01, 1.5e-3)
-    recipe = EstimatorRecipe("photometric", {**TINY, "steps": 500})
+    recipe = EstimatorRecipe({**TINY, "steps": 500})
     outcome = calibrate_folder(folder, square, recipe, store=StageStore(tmp_path / "store"))
     assert outcome.presses.stretch.ratio == pytest.approx(1.2, rel=0.03)
     assert outcome.presses.stretch.describe() in outcome.doubts[0]
