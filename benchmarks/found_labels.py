@@ -24,6 +24,7 @@ from tactile_loc.sensors.calibration.frames import PressImage
 from tactile_loc.sensors.calibration.outcome import measure_press, split
 from tactile_loc.sensors.calibration.presses import PressFolder
 from tactile_loc.sensors.calibration.unlabelled import FoundPresses, find_presses
+from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 
 Array = NDArray[np.float64]
@@ -92,7 +93,7 @@ def compare(name: str, data: Path, folder: Path, splits: int) -> tuple[str, str,
         f"{offset[0]:+.1f}, {offset[1]:+.1f} | {np.median(left):.2f} | {np.median(radius):.1f} % | "
         f"{np.quantile(radius, 0.9):.1f} % | {seconds:.2f} s |"
     )
-    same_gel = dataclasses.replace(presses, background=found.untouched)
+    same_gel = dataclasses.replace(presses, gel=UntouchedGel.of(found.untouched))
     moved = ours - [*offset, 0]
     sets = {label: relabel(same_gel, c) for label, c in zip(LEARNED, (by_hand, ours, moved), strict=True)}
     each = [measure_errors_deg(sets, known, seed) for seed in range(splits)]

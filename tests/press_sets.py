@@ -19,10 +19,7 @@ from tactile_loc.sensors.optics.simulate import press_gel
 MM = 1e-3
 BALL_M = 3e-3
 TINY = {"steps": 200, "hidden": 16, "pixels": 1024}
-COLUMNS = (
-    "image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm",
-    "mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm",
-)  # fmt: skip
+COLUMNS = ("image", "kind", "center_x_px", "center_y_px", "radius_px", "ball_radius_mm")
 
 
 def sensor(px: int = 64, size_m: float = 0.016, max_depth_m: float = 1.5e-3, **more) -> SensorGeometry:

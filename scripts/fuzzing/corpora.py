@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from PIL import Image
-from press_sets import ball_set, write_calibrated, write_table
+from press_sets import ball_set, write_calibrated
 from public_sets import PUBLIC_SETS
 from report_helpers import write_run, write_sweep
 
@@ -114,13 +114,8 @@ def calibration(folder: Path) -> None:
 
 
 def presses(folder: Path) -> None:
-    """Write labelled presses of a ball and of a mesh, and the sensor."""
-    mesh("stl", folder)
-    balls = ball_set(3, px=32)
-    balls.write(folder)
-    pressed = {"image": "0000.png", "kind": "mesh", "mesh": "part.stl", "units": "mm", "press_mm": 0.5}
-    zeros = dict.fromkeys(("x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg"), 0)
-    write_table(folder, [*balls.rows(), {**pressed, **zeros}])
+    """Write labelled presses of a ball, and the sensor."""
+    ball_set(3, px=32).write(folder)
 
 
 def weights(folder: Path) -> None:

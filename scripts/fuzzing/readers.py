@@ -235,7 +235,7 @@ _ALL = (
            lambda folder: _require_rigid(*(one.T_base_sensor for one in _approaches(folder, np.eye(4))))),
     Reader("presses", corpora.presses, _presses,
            "calibrate FOLDER --sensor FOLDER/sensor.toml --out FOLDER/out -o steps=5",
-           ("presses.csv", "sensor.toml", "0000.png", "part.stl")),
+           ("presses.csv", "sensor.toml", "0000.png")),
     Reader("public-sets", corpora.public_sets,
            lambda folder: _read_every(partial(convert_presses, folder / name, folder / "out" / kind, 4.0, 0.1)
                                  for kind, name in SETS.items())),

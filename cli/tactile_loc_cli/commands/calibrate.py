@@ -1,4 +1,4 @@
-"""`tactile-loc calibrate`: learn to read a sensor's images from presses of known shapes."""
+"""`tactile-loc calibrate`: learn to read a sensor's images from presses of a ball."""
 
 from __future__ import annotations
 
@@ -96,9 +96,9 @@ def calibrate(
 ) -> dict[str, Any]:
     """Calibrate a sensor to read its images.
 
-    The command learns from presses of a ball, or of any mesh at a known pose. Without a table, it detects the ball in
-    the images: check labels.png. A fifth of the presses is held out to measure the errors. Use the result with: run
-    --object FILE --sensor FOLDER --touch photo.png
+    The command learns from presses of a ball. Without a table, it detects the ball in the images: check labels.png. A
+    fifth of the presses is held out to measure the errors. Use the result with: run --object FILE --sensor FOLDER
+    --touch photo.png
     """
     from tactile_loc.sensors.calibration.folder import require_replaceable
     from tactile_loc.sensors.calibration.labelling import label_presses

@@ -63,7 +63,7 @@ def test_photos_come_one_by_one_or_in_an_archive(filled):
         ("grey.png", encode_png(np.zeros((9, 9), np.uint8))),
         (UNTOUCHED, encode_png(BALLS.background)),
         ("presses.csv", b"image,kind\n/etc/hostname,background\n"),
-        ("presses.csv", b"image,kind,mesh\na.png,mesh,../part.stl\n"),
+        ("presses.csv", b"image,kind\n../a.png,ball\n"),
         ("some.zip", pack({"bad.png": b"no photo", "notes.txt": b"no photo"})),
         ("some.zip", pack({"a/1.png": encode_png(BALLS.images[0]), "b/1.png": encode_png(BALLS.images[1])})),
     ],

@@ -1,4 +1,4 @@
-"""Labelled presses: the gel's indentation and slope at each pixel, under an object of known shape.
+"""Labelled presses: the gel's indentation and slope at each pixel, under a ball.
 
 The indentation is the depth of the surface below the untouched gel, metres. The slope is the indentation's derivative
 along x and y of the sensor frame, unitless. Labels for a pinhole camera are approximate, because the image scale is
@@ -9,10 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, distance_transform_edt
 
 from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.reading.surface import differentiate
 
@@ -24,7 +22,6 @@ SKIRT = 2.5  # distance from a ball's centre beyond which the gel is untouched, 
 LARGEST_BALL_M = 1.0
 STEEPEST = 0.98  # largest radius of a contact, share of the ball's radius
 WIDEST = 1.6  # largest radius of a visible circle, share of the ball's: the gel around a deep press widens the circle
-SKIRT_M = 3e-3  # distance from a mesh's contact beyond which the gel is untouched
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,25 +95,3 @@ def _average_rim(pushed_m: NDArray[np.float64], rho2: NDArray[np.float64], r: fl
     """
     along = np.abs(np.sqrt(rho2) - r) < width_m
     return float(pushed_m[along].mean()) if along.any() else 0.0
-
-
-def label_mesh(scene: Scene, T_sensor_object: NDArray[np.float64], press_depth_m: float) -> PressLabel:
-    """Return the label of the scene's object, pressed into the gel.
-
-    The object is moved along z from the pose (4, 4), metres, until it is pressed `press_depth_m` metres deep. Raises
-    CalibrationError when the object does not touch the sensor, or when the press depth is not positive.
-    """
-    if not press_depth_m > 0:
-        raise CalibrationError(f"the press depth is {1e3 * press_depth_m:g} mm; it must be positive")
-    shape = scene.contact_shape(T_sensor_object, press_depth_m)
-    if not shape.contact.any():
-        raise CalibrationError(f"{scene.object.name} does not touch the sensor at this pose; check the pose")
-    return label_surface(np.where(shape.contact, press_depth_m - shape.depth_m, 0.0), shape.contact, scene.geometry)
-
-
-def label_surface(indentation_m: NDArray[np.floating], contact: Mask, geometry: SensorGeometry) -> PressLabel:
-    """Return the label of a press with an indentation (H, W), metres, and a contact (H, W)."""
-    slope = differentiate(indentation_m, geometry).astype(np.float32)
-    away_m = distance_transform_edt(~contact) * geometry.pixel_pitch_m
-    inside = binary_erosion(contact)  # without the border, where central differences halve the slope of a step
-    return PressLabel(np.asarray(indentation_m, np.float32), slope, contact, inside | (away_m > SKIRT_M))

@@ -231,9 +231,8 @@ def calibrate_measured(
 
 
 def _check_presses(presses: PressFolder, estimator: PhotometricEstimator) -> dict[str, float]:
-    """Return the values of the sensor's checks on some presses of balls; none if there are too few."""
-    balls = presses.list_balls()
-    some = np.array([presses.images[n] for n in thin(balls, MOST_CHECKED)])
+    """Return the values of the sensor's checks on some presses; none if there are too few."""
+    some = np.array(thin(presses.images, MOST_CHECKED))
     if len(some) < FEWEST_CHECKED:
         return {}
     usual, stretch = measure_usual(Examination(estimator, UntouchedGel.of(presses.background), some)), presses.stretch

@@ -13,11 +13,8 @@ from tactile_loc.store.files import write_atomically
 
 TABLE, SENSOR = "presses.csv", "sensor.toml"
 UNTOUCHED = "untouched-gel.png"  # the composed or corrected image of the untouched gel; it is rectified
-KINDS = {
-    "background": (),
-    "ball": ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm"),
-    "mesh": ("mesh", "units", "x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg", "press_mm"),
-}
+KINDS = ("background", "ball")
+BALL = ("center_x_px", "center_y_px", "radius_px", "ball_radius_mm")  # columns of a ball
 Circles = Iterable[tuple[str, tuple[float, float, float] | None]]  # an image's name and circle (x, y, radius), px
 
 
@@ -36,20 +33,13 @@ class PressRow:
 
     @property
     def kind(self) -> str:
-        """A key of KINDS."""
+        """One of KINDS."""
         return self.values["kind"]
 
     @property
     def image(self) -> Path:
         """The path of the image."""
         return self.table.parent / self.values["image"]
-
-    @property
-    def mesh(self) -> Path:
-        """The path of the pressed mesh. Raises CalibrationError when the row names no mesh."""
-        if not self.values.get("mesh"):
-            raise CalibrationError("mesh is missing; a mesh press needs the path of its mesh, relative to the table")
-        return self.table.parent / self.values["mesh"]
 
     def read_number(self, column: str) -> float:
         """Return the number in a column. Raises CalibrationError when it is missing or not finite."""
@@ -60,7 +50,7 @@ class PressRow:
             value = np.nan
         if not np.isfinite(value):
             fault = f"{text!r}" if text else "missing"
-            raise CalibrationError(f"{self.where}: {column} is {fault}; a {self.kind} press needs a number")
+            raise CalibrationError(f"{self.where}: {column} is {fault}; the press of a ball needs a number")
         return value
 
 
@@ -72,7 +62,7 @@ def read_rows(table: Path) -> list[PressRow]:
     if not table.exists():
         raise CalibrationError(f"there is no table {table}; give a folder with images of presses and this table")
     found = read_table(table, "press", CalibrationError)
-    advice = "; it needs image, kind, and the columns of the kind (docs/sensor-labels.md)"
+    advice = "; it needs image, kind, and the columns of a ball (docs/sensor-labels.md)"
     require_columns(table, found.columns, ("image", "kind"), CalibrationError, advice)
     rows = [PressRow(table, line, values) for line, values in zip(found.lines, found.rows, strict=True)]
     for row in rows:
@@ -86,9 +76,8 @@ def read_rows(table: Path) -> list[PressRow]:
 
 
 def list_named_files(table: Path) -> set[str]:
-    """Return the paths of the images and meshes in a table, as it names them. Raises CalibrationError if unreadable."""
-    rows = read_rows(table)
-    return {row.values["image"] for row in rows} | {row.values.get("mesh") or "" for row in rows} - {""}
+    """Return the paths of the images in a table, as it names them. Raises CalibrationError if it cannot be read."""
+    return {row.values["image"] for row in read_rows(table)}
 
 
 def write_table(table: Path, circles: Circles, ball_radius_mm: float) -> Path:
@@ -97,7 +86,7 @@ def write_table(table: Path, circles: Circles, ball_radius_mm: float) -> Path:
     Each row has an image's name and the ball's circle (x, y, radius), pixels, or None for the untouched gel. Raises
     OutputError when the file cannot be written.
     """
-    lines: list[tuple[object, ...]] = [("image", "kind", *KINDS["ball"])]
+    lines: list[tuple[object, ...]] = [("image", "kind", *BALL)]
     for image, circle in circles:
         if circle is None:
             lines.append((image, "background"))

@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import make_transform
-from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError
+from tactile_loc.core.runtime.errors import CalibrationError, TactileLocError, name_source
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.photo_map import PhotoMap
-from tactile_loc.core.sensing.scene import Scene
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.images import read_photo
-from tactile_loc.io.meshes.mesh_files import load_object
 from tactile_loc.sensors.calibration.gel_fit import BallImage, GelFit, fit_gel, label_elastic_ball, press_balls
-from tactile_loc.sensors.calibration.labels import STEEPEST, Image, PressLabel, label_ball, label_mesh
-from tactile_loc.sensors.calibration.press_table import KINDS, TABLE, UNTOUCHED, PressRow, read_rows
+from tactile_loc.sensors.calibration.labels import STEEPEST, Image, PressLabel, label_ball
+from tactile_loc.sensors.calibration.press_table import BALL, TABLE, UNTOUCHED, PressRow, read_rows
 from tactile_loc.sensors.calibration.reflectance import BallContact, SeenBalls
 from tactile_loc.sensors.calibration.statement import UNCHECKED, Statement, check_statement
 from tactile_loc.sensors.reading.circles import Circle
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.reading import reduce_image
 from tactile_loc.sensors.reading.rectification import Stretch, measure_stretch
-from tactile_loc.slots.registry import registry
 from tactile_loc.store.keys import hash_arrays, hash_file
 
 MOST_READ_PX = 200  # longer image side; twice this size takes four times as long and does not improve the poses
@@ -38,30 +33,38 @@ FOR_MEDIAN = 9  # fewest presses, at different places, whose median shows the un
 
 @dataclass(frozen=True, eq=False)
 class PressFolder:
-    """The presses of a table, with their images in memory.
+    """The presses of balls in a table, with their images in memory.
 
     `images` have the size of `geometry`. `camera` is the geometry of the images before they were reduced. The circles
     in the table are in pixels of `camera`. If there is a `photo_map`, photos were rectified by it. `stretch` is
     what their imprints show, if it was measured. Marker dots are filled in, in the images and in the background; `gel`
-    has the background with its dots. `fit` is the gel's elasticity, if it is known. The balls' labels follow from it,
-    and from their `contacts`, in pixels of `geometry`. `statement` is what the presses show about the stated radii.
+    has the background with its dots. `fit` is the gel's elasticity, if it is known. The labels follow from it, and from
+    the balls' `contacts`, in pixels of `geometry`. `statement` is what the presses show about the stated radii.
     """
 
     rows: tuple[PressRow, ...]
     images: tuple[Image, ...]
-    background: Image
+    gel: UntouchedGel
     geometry: SensorGeometry
     camera: SensorGeometry
-    gel: UntouchedGel | None = None
     fit: GelFit | None = None
     photo_map: PhotoMap | None = None
     stretch: Stretch | None = None
-    contacts: Mapping[int, BallContact] = field(default_factory=dict)
+    contacts: tuple[BallContact, ...] = ()
     statement: Statement = UNCHECKED
-    _scenes: dict[tuple[Path, str], Scene] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    @property
+    def background(self) -> Image:
+        """The image (H, W, 3) of the untouched gel, without marker dots."""
+        return self.gel.clear
+
+    @property
+    def untouched(self) -> Image:
+        """The image (H, W, 3) of the untouched gel, with its marker dots."""
+        return self.gel.image
 
     def read_press(self, number: int) -> tuple[Image, PressLabel]:
         """Return the image (H, W, 3) and the label of a press. Raises CalibrationError as `label` does."""
@@ -77,21 +80,21 @@ class PressFolder:
 
     def label(self, number: int) -> PressLabel:
         """Return the label of a press. Raises CalibrationError, which names the row, when the label is impossible."""
-        row = self.rows[number]
-        try:
-            return self._label_ball(number) if row.kind == "ball" else self._label_mesh(row)
-        except TactileLocError as error:
-            if str(error).startswith(row.where):
-                raise
-            raise CalibrationError(f"{row.where}: {error}") from error
+        with name_source(self.rows[number].where):
+            ball = self.read_ball(number)
+            label = label_ball(self.geometry, (ball.circle.x_px, ball.circle.y_px), ball.circle.radius_px, ball.ball_m)
+            if self.fit is None or not self.fit.is_elastic:
+                return label
+            x_px, y_px, contact_m = self.contacts[number]
+            return label_elastic_ball(self.geometry, (x_px, y_px), contact_m, press_balls(self.fit.gel, ball.ball_m))
 
-    def list_balls(self) -> list[int]:
-        """Return the numbers of the presses of balls."""
-        return [number for number, row in enumerate(self.rows) if row.kind == "ball"]
+    def read_balls(self) -> list[BallImage]:
+        """Return the images of the balls, with their circles in pixels of the images."""
+        return [self.read_ball(number) for number in range(len(self))]
 
     def read_ball(self, number: int) -> BallImage:
-        """Return the image of a press of a ball, with its circle in pixels of the image."""
-        x, y, radius, ball_mm = (self.rows[number].read_number(column) for column in KINDS["ball"])
+        """Return the image of a ball, with its circle in pixels of the image."""
+        x, y, radius, ball_mm = (self.rows[number].read_number(column) for column in BALL)
         (rows, columns), (height, width) = self.geometry.shape, self.camera.shape
         pitch_m = self.geometry.pixel_pitch_m
         circle = Circle(x * columns / width, y * rows / height, radius * self.camera.pixel_pitch_m / pitch_m)
@@ -101,31 +104,24 @@ class PressFolder:
         """Return the presses with the gel's elasticity and the check of the balls' radii, if the gel is flat."""
         if self.geometry.is_curved:
             return self
-        balls = [self.read_ball(number) for number in self.list_balls()]
+        balls = self.read_balls()
         fit = fit_gel(balls, self.background, progress)
         measured = replace(self, fit=fit, statement=check_statement(balls, self.background))
         if fit is None or not fit.is_elastic:
             return measured
         fit, contacts = SeenBalls(balls, self.background, self.geometry).fit(fit)
-        found = dict(zip(self.list_balls(), contacts, strict=True))
-        return replace(measured, fit=fit, geometry=replace(self.geometry, gel=fit.gel), contacts=found)
+        return replace(measured, fit=fit, geometry=replace(self.geometry, gel=fit.gel), contacts=tuple(contacts))
 
     def measure_stretch(self) -> PressFolder:
-        """Return the presses with the stretch of their photos, if there are enough presses of balls."""
-        balls = [self.read_ball(number) for number in self.list_balls()]
-        return replace(self, stretch=measure_stretch([(ball.image, ball.circle) for ball in balls], self.background))
-
-    @property
-    def untouched(self) -> Image:
-        """The image (H, W, 3) of the untouched gel, with its marker dots."""
-        return self.background if self.gel is None else self.gel.image
+        """Return the presses with the stretch of their photos, if there are enough presses."""
+        shown = [(ball.image, ball.circle) for ball in self.read_balls()]
+        return replace(self, stretch=measure_stretch(shown, self.background))
 
     def describe(self) -> dict[str, Any]:
         """Return JSON values that identify the presses and the sensor in store keys."""
         return {
             "table": hash_file(self.rows[0].table),
             "images": [hash_arrays(image=image) for image in self.images],
-            "meshes": [hash_file(row.mesh) for row in self.rows if row.kind == "mesh"],
             "background": hash_arrays(image=self.background),
             "geometry": self.geometry.describe(),
             "camera": self.camera.describe(),
@@ -134,11 +130,8 @@ class PressFolder:
 
     def list_doubts(self) -> list[str]:
         """Return sentences about the balls and the scales, if they cannot be as stated."""
-        balls = self.list_balls()
-        if not balls:
-            return []
         scales = [] if self.stretch is None else self.stretch.list_doubts(self.camera)
-        names, ball_mm = [self.name(number) for number in balls], 1e3 * self.read_ball(balls[0]).ball_m
+        names, ball_mm = [self.name(number) for number in range(len(self))], 1e3 * self.read_ball(0).ball_m
         return [*scales, *self.statement.list_doubts(names, ball_mm, 1e3 * self.camera.pixel_pitch_m)]
 
     def list_facts(self) -> list[str]:
@@ -148,8 +141,8 @@ class PressFolder:
             facts.append(f"the gel is curved: its edge is up to {-1e3 * relief_m.min():.2f} mm lower than its top")
         if self.fit is not None:
             facts.append(self.fit.explain())
-        dots = self.record().get("dots", {})
-        if dots.get("count"):
+        dots = self.record()["dots"]
+        if dots["count"]:
             facts.append(
                 f"the gel has {dots['count']} marker dots, {1e3 * dots['diameter_m']:.2f} mm wide and "
                 f"{1e3 * dots['spacing_m']:.2f} mm apart; they cover {100 * dots['covered']:.0f} % of the image and "
@@ -159,9 +152,9 @@ class PressFolder:
 
     def _list_deep(self) -> list[str]:
         """Return a sentence about the presses whose circles are as wide as the ball, if there are any."""
-        balls = [(self.name(number), self.read_ball(number)) for number in self.list_balls()]
-        deep = [name for name, ball in balls if ball.circle.radius_px * ball.pitch_m > STEEPEST * ball.ball_m]
-        names = "all presses" if len(deep) == len(balls) else ", ".join(deep)
+        balls = enumerate(self.read_balls())
+        deep = [self.name(n) for n, ball in balls if ball.circle.radius_px * ball.pitch_m > STEEPEST * ball.ball_m]
+        names = "all presses" if len(deep) == len(self) else ", ".join(deep)
         return [f"used, but the circle is too wide to show the press depth: {names}"] if deep else []
 
     def record(self) -> dict[str, Any]:
@@ -169,35 +162,11 @@ class PressFolder:
 
         The elasticity and the size are left out if the presses do not determine them.
         """
-        dots = {} if self.gel is None else {"dots": self.gel.record(self.geometry.pixel_pitch_m)}
+        dots = {"dots": self.gel.record(self.geometry.pixel_pitch_m)}
         gel = {} if self.fit is None else {"gel": self.fit.record()}
         photo = {} if self.photo_map is None else {"photo": self.photo_map.record()}
         ball = {} if self.statement.ratio is None else {"ball": self.statement.record()}
         return {"camera_px": list(self.camera.shape), **photo, **dots, **gel, **ball}
-
-    def _label_ball(self, number: int) -> PressLabel:
-        ball = self.read_ball(number)
-        label = label_ball(self.geometry, (ball.circle.x_px, ball.circle.y_px), ball.circle.radius_px, ball.ball_m)
-        if self.fit is None or not self.fit.is_elastic:
-            return label
-        x_px, y_px, contact_m = self.contacts[number]
-        return label_elastic_ball(self.geometry, (x_px, y_px), contact_m, press_balls(self.fit.gel, ball.ball_m))
-
-    def _label_mesh(self, row: PressRow) -> PressLabel:
-        scene = self._load_scene(row.mesh, row.values.get("units") or "auto")
-        angles = [row.read_number(f"{name}_deg") for name in ("yaw", "pitch", "roll")]
-        T = make_transform(
-            Rotation.from_euler("ZYX", angles, degrees=True).as_matrix(),
-            [1e-3 * row.read_number("x_mm"), 1e-3 * row.read_number("y_mm"), 0.0],
-        )
-        return label_mesh(scene, T, 1e-3 * row.read_number("press_mm"))
-
-    def _load_scene(self, path: Path, units: Any) -> Scene:
-        key = (path, units)
-        if key not in self._scenes:
-            renderer = registry().create("renderer", "heightmap", {})
-            self._scenes[key] = Scene(load_object(path, units, "none"), self.geometry, renderer)
-        return self._scenes[key]
 
 
 def read_presses(
@@ -222,7 +191,7 @@ def read_presses(
     unpressed = [image for row, image in images.items() if row.kind == "background"]
     pressed = tuple(row for row in rows if row.kind != "background")
     if not pressed:
-        raise CalibrationError(f"{table} lists no press; add rows of kind ball or mesh")
+        raise CalibrationError(f"{table} lists no press; add rows of kind ball")
     if not unpressed and not median_background:
         raise CalibrationError(
             f"{table} lists no image of the untouched gel; add a row of kind background, or use `background` median "
@@ -237,7 +206,7 @@ def read_presses(
     background = np.median(stack, axis=0) if median_background else stack.mean(axis=0)
     gel = UntouchedGel.of(np.rint(background).astype(np.uint8))
     clear = tuple(gel.clear_image(images[row]) for row in pressed)
-    presses = PressFolder(pressed, clear, gel.clear, geometry, camera, gel, photo_map=photo_map)
+    presses = PressFolder(pressed, clear, gel, geometry, camera, photo_map=photo_map)
     for number in range(len(presses)):
         presses.label(number)  # reports faulty rows before the training
     return presses

@@ -55,7 +55,7 @@ def learn_relief(presses: PressFolder, seed: int = 0, progress: Progress | None 
 
     Raises CalibrationError when there are fewer than FEWEST presses of a ball.
     """
-    balls = [presses.read_ball(number) for number in presses.list_balls()]
+    balls = presses.read_balls()
     if len(balls) < FEWEST:
         raise CalibrationError(
             f"there are {len(balls)} presses of a ball; give at least {FEWEST}, all over the gel, to learn a curved "

@@ -1,4 +1,4 @@
-"""Labels of presses: the ball's formula, the mesh at its pose, and unknown pixels."""
+"""Labels of presses: the ball's formula, and unknown pixels."""
 
 import dataclasses
 
@@ -7,9 +7,8 @@ import pytest
 from message_helpers import naming
 from press_sets import BALL_M, ball_indentation, contact_radius, places, sensor
 
-from tactile_loc.core.geometry.rigid import make_transform, rotation_about
 from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.sensors.calibration.labels import SKIRT, SKIRT_M, label_ball, label_mesh, label_surface
+from tactile_loc.sensors.calibration.labels import SKIRT, label_ball
 
 GEOMETRY = sensor(80)
 PITCH_M = 2e-4
@@ -81,53 +80,3 @@ def test_the_label_of_a_deep_press_ends_near_the_balls_equator():
 def test_an_impossible_circle_is_refused(centre, radius_px, ball_m, words):
     with pytest.raises(CalibrationError, match=naming(*words)):
         label_ball(GEOMETRY, centre, radius_px, ball_m)
-
-
-def label_of_box(make_scene, make_box, yaw_rad: float = 0.0, x_m: float = 0.0, press_m: float = 5e-4):
-    scene = make_scene(make_box(6e-3, 3e-3, 4e-3), GEOMETRY)
-    return label_mesh(scene, make_transform(rotation_about([0, 0, 1], yaw_rad), [x_m, 1e-3, 0.0]), press_m)
-
-
-@pytest.mark.parametrize("yaw_deg", [0, 30, -75])
-def test_a_box_at_a_yaw_is_flat_inside_its_outline(make_scene, make_box, yaw_deg):
-    yaw, press_m = np.radians(yaw_deg), 5e-4
-    label = label_of_box(make_scene, make_box, yaw, 2e-3, press_m)
-    x, y = places(GEOMETRY)
-    x, y = x - 2e-3, y - 1e-3
-    along, across = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
-    beyond = np.maximum(np.abs(along) - 3e-3, np.abs(across) - 1.5e-3)  # distance outside the outline, in metres
-    assert label.contact[beyond < -PITCH_M].all()
-    assert not label.contact[beyond > PITCH_M].any()
-    np.testing.assert_allclose(label.indentation_m[beyond < -PITCH_M], press_m, rtol=1e-4)
-    assert not label.indentation_m[beyond > PITCH_M].any()
-    assert label.absolute
-    inside = label.known & label.contact
-    assert inside.any()
-    np.testing.assert_allclose(label.slope[inside], 0, atol=1e-3)  # the step at the outline is unknown
-
-
-def test_the_skirt_around_a_mesh_is_unknown(make_scene, make_box):
-    label = label_of_box(make_scene, make_box, 0.0)
-    x, y = places(GEOMETRY)
-    away = np.hypot(np.maximum(np.abs(x) - 3e-3, 0), np.maximum(np.abs(y - 1e-3) - 1.5e-3, 0))
-    assert not label.known[(away > PITCH_M) & (away < SKIRT_M - 2 * PITCH_M)].any()
-    assert label.known[away > SKIRT_M + 2 * PITCH_M].all()
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"x_m": 0.05}, ["box"]),
-        ({"press_m": 0.0}, ["press depth", "0 mm"]),
-        ({"press_m": -1e-4}, ["press depth", "-0.1 mm"]),
-    ],
-)
-def test_a_mesh_that_does_not_touch_is_refused(make_scene, make_box, given, words):
-    with pytest.raises(CalibrationError, match=naming(*words)):
-        label_of_box(make_scene, make_box, 0.0, **given)
-
-
-def test_the_slope_of_a_known_surface_is_its_derivative():
-    x, y = places(GEOMETRY)
-    label = label_surface(0.1 * x - 0.2 * y, np.ones(GEOMETRY.shape, bool), GEOMETRY)
-    np.testing.assert_allclose(label.slope, np.broadcast_to([0.1, -0.2], (80, 80, 2)), atol=1e-6)

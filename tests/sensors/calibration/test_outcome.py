@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from message_helpers import naming
 from press_sets import TINY, ball_set, label_untouched, write_table
 
@@ -116,7 +115,6 @@ def test_the_calibration_reports_the_measured_held_out_errors():
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    trimesh.creation.box((6, 3, 4)).export(tmp_path / "box.stl")
     return FIVE.write(tmp_path)
 
 
@@ -147,13 +145,9 @@ def test_a_second_calibration_comes_from_the_store_and_a_damaged_one_is_replaced
         np.testing.assert_array_equal(again, slopes)
 
 
-@pytest.mark.parametrize("what", ["options", "seed", "0000.png", "background.png", "label", "geometry", "mesh"])
+@pytest.mark.parametrize("what", ["options", "seed", "0000.png", "background.png", "label", "geometry"])
 def test_any_changed_input_starts_a_new_calibration(folder, store, what):
     rows = FIVE.rows()
-    if what == "mesh":
-        pose = dict.fromkeys(("x_mm", "y_mm", "roll_deg", "pitch_deg", "yaw_deg"), 0)
-        rows[2] |= {"kind": "mesh", "mesh": "box.stl", "units": "mm", "press_mm": 0.4, **pose}
-        write_table(folder, rows)
     stage(folder, store)
     more: dict = {"options": {"steps": 6}, "seed": {"seed": 1}}.get(what, {})
     if what.endswith(".png"):
@@ -163,8 +157,6 @@ def test_any_changed_input_starts_a_new_calibration(folder, store, what):
         write_table(folder, rows)
     elif what == "geometry":
         more["geometry"] = dataclasses.replace(GEOMETRY, fx=1.01 * GEOMETRY.fx)
-    elif what == "mesh":
-        trimesh.creation.box((5, 3, 4)).export(folder / "box.stl")
     stage(folder, store, **more)
     assert len(store.built) == 2
 

@@ -1,14 +1,12 @@
 """A folder of presses: every kind of row, every fault of a row, and the size of images."""
 
 import dataclasses
-import logging
 from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from message_helpers import naming
-from press_sets import COLUMNS, MM, ball_set, magnified, places, write_image, write_table
+from press_sets import COLUMNS, ball_set, magnified, write_image, write_table
 
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -16,14 +14,11 @@ from tactile_loc.sensors.calibration.presses import FOR_MEDIAN, choose_size_px, 
 
 BALLS = ball_set(3)
 GEOMETRY = BALLS.geometry
-POSE = {"x_mm": 1, "y_mm": -0.5, "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 90}
-BOX = {"mesh": "box.stl", "units": "mm", **POSE, "press_mm": 0.4}
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with three presses of a ball, and the mesh of a box in mm."""
-    trimesh.creation.box((6, 3, 4)).export(tmp_path / "box.stl")
+    """A folder with three presses of a ball."""
     return BALLS.write(tmp_path)
 
 
@@ -92,56 +87,12 @@ def test_the_median_of_many_presses_shows_the_untouched_gel(folder, tmp_path):
     assert off < 0.3 * pressed_off
 
 
-def test_a_mesh_is_pressed_at_its_pose(folder, caplog):
-    change(folder, 4, kind="mesh", **BOX)
-    with caplog.at_level(logging.WARNING):
-        presses = read_presses(folder, GEOMETRY)
-    assert not caplog.records  # the table names the unit
-    label = presses.label(1)
-    x, y = (v / MM for v in places(GEOMETRY))
-    beyond = np.maximum(np.abs(x - 1) - 1.5, np.abs(y + 0.5) - 3)  # rotated by 90 degrees
-    assert label.contact[beyond < -0.25].all()
-    assert not label.contact[beyond > 0.25].any()
-    np.testing.assert_allclose(label.indentation_m[beyond < -0.25], 4e-4, rtol=1e-4)
-    assert label.absolute
-    assert not presses.label(0).absolute
-
-
-@pytest.mark.parametrize(("angle", "edge_mm"), [("roll_deg", (-1.5, -2)), ("pitch_deg", (3, -2))])
-def test_a_tilted_mesh_is_deepest_at_its_lowest_edge(folder, angle, edge_mm):
-    change(folder, 3, kind="mesh", **(BOX | {"x_mm": 0, "y_mm": 0, "yaw_deg": 0, angle: 10}))
-    label = read_presses(folder, GEOMETRY).label(0)
-    turn = np.radians(10 if angle == "roll_deg" else -10)  # in the plane of y and z, or of x and z
-    edge = np.cos(turn) * edge_mm[0] - np.sin(turn) * edge_mm[1]
-    across, along = (v / MM for v in (places(GEOMETRY) if angle == "pitch_deg" else places(GEOMETRY)[::-1]))
-    deepest = label.indentation_m > 0.9 * label.indentation_m.max()
-    assert across[deepest].mean() == pytest.approx(edge, abs=0.3)  # a pixel is 0.25 mm
-    assert np.ptp(along[label.contact]) == pytest.approx(6 if angle == "roll_deg" else 3, abs=0.3)
-
-
-def test_the_unit_scales_the_mesh_and_paths_are_relative_to_the_table(folder):
-    (folder / "images").mkdir()
-    (folder / "0000.png").rename(folder / "images" / "0000.png")
-    change(folder, 3, image="images/0000.png", kind="mesh", **(BOX | {"units": "cm", "x_mm": 0, "y_mm": 0}))
-    assert read_presses(folder, GEOMETRY).label(0).contact.all()  # 60 x 30 mm
-
-
 NUMBERS = ["center_x_px", "center_y_px", "radius_px", "ball_radius_mm"]
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (BOX | {"mesh": ""}, ("mesh",)),
-        (BOX | {"mesh": "bax.stl"}, ("bax.stl",)),
-        (BOX | {"mesh": "background.png"}, ("background.png", "mesh")),
-        (BOX | {"yaw_deg": ""}, ("yaw_deg", "mesh")),
-        (BOX | {"press_mm": ""}, ("press_mm",)),
-        (BOX | {"press_mm": "0"}, ("press depth", "0 mm")),
-        (BOX | {"press_mm": "-0.3"}, ("press depth", "-0.3 mm")),
-        (BOX | {"x_mm": "100"}, ("box",)),
-        (BOX | {"roll_deg": "steep"}, ("roll_deg", "'steep'")),
-        (BOX | {"units": "feet"}, ("'feet'", "mm")),
         *(({column: ""}, (column, "ball")) for column in NUMBERS),
         *(({column: "9;5"}, (column, "'9;5'", "ball")) for column in NUMBERS),
         *(({column: "nan"}, (column, "nan", "ball")) for column in NUMBERS),
@@ -151,16 +102,16 @@ NUMBERS = ["center_x_px", "center_y_px", "radius_px", "ball_radius_mm"]
         ({"radius_px": 30}, ("30 px", "7.5 mm", "3 mm")),
         ({"radius_px": 0}, ("0 px", "3 mm")),
         ({"ball_radius_mm": -3}, ("-3 mm",)),
-        ({"kind": "bull"}, ("'bull'", "background", "ball", "mesh")),
+        ({"kind": "bull"}, ("'bull'", "background", "ball")),
         ({"kind": ""}, ("0001.png", "kind")),
         ({"image": ""}, ("image",)),
         ({"image": "none.png"}, ("none.png",)),
-        ({"image": "box.stl"}, ("box.stl", "colour")),
+        ({"image": "sensor.toml"}, ("sensor.toml", "colour")),
         ({"image": "."}, ("colour",)),
     ],
 )
 def test_a_wrong_value_is_refused_with_its_line(folder, changes, words):
-    change(folder, 4, **({"kind": "mesh"} if "mesh" in changes else {}), **changes)
+    change(folder, 4, **changes)
     refused(folder, "line 4", *words)
 
 
@@ -194,7 +145,7 @@ def test_an_unreadable_or_missing_table_and_a_table_without_a_required_column_ar
 
 def test_a_table_without_presses_or_untouched_gel_is_refused(folder):
     write_table(folder, BALLS.rows()[:1])
-    refused(folder, "ball", "mesh")
+    refused(folder, "ball")
     write_table(folder, [])
     refused(folder, "presses.csv", "press")
     write_table(folder, BALLS.rows()[1:])
