@@ -30,7 +30,6 @@ MEANINGS = {  # what a stage makes, for messages
     "touch-errors": "further errors of evaluated touches",
     "touch-judgement": "judged touches",
     "recall-evaluation": "evaluated examples",
-    "board-presses": "simulated presses for a calibration",
     "calibration": "training of a calibration",
 }
 

@@ -70,7 +70,6 @@ ImageSize = Annotated[
         min=16,
     ),
 ]
-Curved = Annotated[bool, declare("--curved", "Also learn the surface of a curved gel, from presses of a ball.")]
 EstimatorOption = Annotated[
     list[str] | None, set_option("Set an option of the estimator, such as steps=4000.", "OPTION=VALUE")
 ]
@@ -88,7 +87,6 @@ def calibrate(
     gel_size: GelSize = None,
     camera_matrix: CameraMatrix = None,
     image_size: ImageSize = None,
-    curved: Curved = False,
     option: EstimatorOption = None,
     seed: HeldOutSeed = 0,
     out: Out = DEFAULT_OUT,
@@ -102,7 +100,7 @@ def calibrate(
     """
     from tactile_loc.sensors.calibration.folder import require_replaceable
     from tactile_loc.sensors.calibration.labelling import label_presses
-    from tactile_loc.sensors.calibration.outcome import FolderReading, calibrate_measured, measure_folder
+    from tactile_loc.sensors.calibration.outcome import calibrate_measured, measure_folder
     from tactile_loc.sensors.reading.photometric import EstimatorRecipe
     from tactile_loc.store.store import StageStore
 
@@ -121,8 +119,7 @@ def calibrate(
             more, labels = _describe_labels(labelled, ball_radius)
             doubts = labelled.list_doubts()
             lines, folder, file = [*lines, *more], labelled.folder, labelled.sensor
-        reading = FolderReading(background is Background.MEDIAN, image_size, curved)
-        measured = measure_folder(folder, file, seed, reading, make_progress())
+        measured = measure_folder(folder, file, background is Background.MEDIAN, image_size, make_progress())
         for line in (*doubts, *measured.list_doubts(), *lines):
             say(write_flags(line))
         outcome = calibrate_measured(measured, recipe, StageStore(store), make_progress())

@@ -226,9 +226,7 @@ LIBRARIES = (
         trial="egl",
         repair=advise_install("libegl1 libgl1-mesa-dri"),
     ),
-    Dependency(
-        "torch", ("torch",), "the encoder moco, and curved gels", "pip install 'tactile-loc[learned]'", trial="torch"
-    ),
+    Dependency("torch", ("torch",), "the encoder moco", "pip install 'tactile-loc[learned]'", trial="torch"),
     Dependency("kiss_icp", ("kiss-icp",), "the refiner kiss-icp", "pip install 'tactile-loc[kiss]'"),
     Dependency("small_gicp", ("small-gicp",), "the plugin tactile-loc-small-gicp", "pip install small-gicp"),
     Dependency("distributed", ("distributed",), "jobs on a Dask cluster", "pip install 'tactile-loc[sweep]'"),

@@ -3,14 +3,14 @@
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.runtime.errors import CalibrationError, MissingLibraryError, SensorError
+from tactile_loc.core.runtime.errors import CalibrationError, SensorError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.io.sensor_files import read_camera
@@ -151,55 +151,31 @@ def _rms(values: NDArray[np.floating]) -> float:
     return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
 
 
-@dataclass(frozen=True)
-class FolderReading:
-    """How to read a folder of presses.
-
-    With `median_background`, the untouched gel is the median of the images: see `read_presses`. Images are reduced to
-    `size_px` (width, height), by default as by `choose_size_px`. With `curved`, the surface of a curved gel is learned.
-    """
-
-    median_background: bool = False
-    size_px: tuple[int, int] | None = None
-    curved: bool = False
-
-
 def measure_folder(
     folder: Path,
     sensor: Path | SensorGeometry,
-    seed: int = 0,
-    reading: FolderReading | None = None,
+    median_background: bool = False,
+    size_px: tuple[int, int] | None = None,
     progress: Progress | None = None,
 ) -> PressFolder:
     """Read a folder of presses by the `sensor` that took them, or its file, and measure the gel and the ball's size.
 
-    Raises CalibrationError when the folder cannot be used, and SensorError when the sensor's file cannot be read.
+    The other arguments are those of `read_presses`; images are reduced as by `choose_size_px` by default. Raises
+    CalibrationError when the folder cannot be used, and SensorError when the sensor's file cannot be read.
     """
     if not os.path.isdir(folder):
         raise CalibrationError(f"there is no folder {folder}; give a folder with images of presses and presses.csv")
     if isinstance(sensor, Path) and not os.path.isfile(sensor):
         raise SensorError(f"there is no sensor file {sensor}; write it (docs/files.md), or give `sensor`")
-    reading, watcher = reading or FolderReading(), progress or Progress()
     camera, photo_map = (sensor, None) if isinstance(sensor, SensorGeometry) else read_camera(sensor)
-    size_px = reading.size_px or choose_size_px(camera)
-    presses = read_presses(folder, camera, reading.median_background, size_px, photo_map).measure_stretch()
-    if reading.curved:
-        try:
-            from tactile_loc.sensors.reading.relief import learn_relief
-        except ImportError as error:
-            raise MissingLibraryError(
-                f"curved gels need {error.name}, which is not installed: pip install 'tactile-loc[learned]'"
-            ) from error
-        relief_m = learn_relief(presses, seed, watcher)
-        presses = replace(presses, geometry=replace(presses.geometry, relief_m=relief_m))
-    return presses.measure_gel(watcher)
+    presses = read_presses(folder, camera, median_background, size_px or choose_size_px(camera), photo_map)
+    return presses.measure_stretch().measure_gel(progress)
 
 
 def calibrate_folder(
     folder: Path,
     sensor: Path | SensorGeometry,
     recipe: EstimatorRecipe | None = None,
-    reading: FolderReading | None = None,
     store: StageStore | None = None,
     progress: Progress | None = None,
 ) -> CalibrationOutcome:
@@ -207,8 +183,8 @@ def calibrate_folder(
 
     Raises the errors of `measure_folder`, and ConfigError for wrong options.
     """
-    recipe = recipe or EstimatorRecipe()
-    return calibrate_measured(measure_folder(folder, sensor, recipe.seed, reading, progress), recipe, store, progress)
+    measured = measure_folder(folder, sensor, progress=progress)
+    return calibrate_measured(measured, recipe or EstimatorRecipe(), store, progress)
 
 
 def calibrate_measured(
