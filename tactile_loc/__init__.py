@@ -118,7 +118,6 @@ if TYPE_CHECKING:
     from tactile_loc.tracking.replay import FolderReplay as FolderReplay
     from tactile_loc.tracking.replay import Replay as Replay
     from tactile_loc.tracking.tracked_pose import TrackedPose as TrackedPose
-    from tactile_loc.tracking.tracker import Motion as Motion
     from tactile_loc.tracking.tracker import Tracker as Tracker
     from tactile_loc.view.calibration import draw_circle as draw_circle
     from tactile_loc.view.calibration import draw_reading as draw_reading

@@ -63,8 +63,7 @@ class SlipPrior(PosePrior):
 class ModeFilter:
     """Moves modes along with the sensor, and registers them to touches.
 
-    The object creeps by a covariance (6, 6) in one second. With `relative` sensor poses, the errors of the poses come
-    from the sensor's motions, not from the touches.
+    The object creeps by a covariance (6, 6) in one second.
     """
 
     def __init__(self, localizer: Localizer, creep: Floats) -> None:
@@ -74,7 +73,6 @@ class ModeFilter:
         self._nearby, self._first = JointRegistration(nearby), localizer.registration
         self._slip_std = np.array([1e-3 * options.slip_mm] * 3 + [math.radians(options.slip_deg)] * 3)
         self._metric = PoseMetric(localizer.object)
-        self.relative = False
 
     @property
     def gel_m(self) -> Floats:
@@ -86,20 +84,10 @@ class ModeFilter:
         known = PoseFilter.known(T_base_object, covariance)
         return TrackMode(known, known.T_base_object, covariance)
 
-    def predict(
-        self, modes: Sequence[TrackMode], T_base_sensor: Floats, passed_s: float, added: Floats | None
-    ) -> list[TrackMode]:
-        """Predict modes for a sensor at T_base_sensor (4, 4), metres, `passed_s` seconds later.
-
-        `added` (6, 6) is the covariance of an error of the sensor's motion, along the base's axes.
-        """
-        predicted = []
-        for mode in modes:
-            creep = self.creep * passed_s
-            if added is not None:
-                creep = creep + estimate_motion_errors(added, T_base_sensor, mode.known.T_base_object)
-            predicted.append(self._view(replace(mode, known=mode.known.predict(creep)), T_base_sensor))
-        return predicted
+    def predict(self, modes: Sequence[TrackMode], T_base_sensor: Floats, passed_s: float) -> list[TrackMode]:
+        """Predict modes for a sensor at T_base_sensor (4, 4), metres, `passed_s` seconds later."""
+        crept = [replace(mode, known=mode.known.predict(self.creep * passed_s)) for mode in modes]
+        return self.view_from(crept, T_base_sensor)
 
     def follow(self, modes: Sequence[TrackMode], touches: Sequence[Touch], alike: float) -> list[TrackMode]:
         """Register modes to the touches of a frame and fuse them with these. Modes are in the first touch's frame.
@@ -230,8 +218,8 @@ class ModeFilter:
 
         For several touches, the covariance already contains the errors of the sensors' poses.
         """
-        touch, known = touches[0], self.relative or len(touches) > 1
-        std_m, std_rad = (0.0, 0.0) if known else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
+        touch = touches[0]
+        std_m, std_rad = (0.0, 0.0) if len(touches) > 1 else (touch.T_base_sensor_std_m, touch.T_base_sensor_std_rad)
         sensor = np.diag(np.square([std_m] * 3 + [std_rad] * 3))
         common, covariance = self.options.common, self.options.touch_noise * covariance
         return SeenPose(

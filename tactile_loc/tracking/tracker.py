@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.lie import rotate_covariance
 from tactile_loc.core.geometry.rigid import Poses, require_covariance, require_rigid
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch, require_depths
@@ -54,24 +53,6 @@ class Stayed:
     frames: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """The sensor's motion since the previous frame, T_previous_sensor (4, 4), metres, and the covariance of its error.
-
-    The error is x, y, z of the new sensor frame's origin (m) and a rotation vector (rad), along the previous sensor's
-    axes. Raises TouchError for an invalid pose or covariance (6, 6).
-    """
-
-    T_previous_sensor: Floats
-    covariance: Floats
-
-    def __post_init__(self) -> None:
-        T = require_rigid(self.T_previous_sensor, "the sensor's motion", TouchError)
-        covariance = require_covariance(self.covariance, "the covariance of the sensor's motion", TouchError)
-        object.__setattr__(self, "T_previous_sensor", T)
-        object.__setattr__(self, "covariance", covariance)
-
-
 class Tracker:
     """Tracks one object from frame to frame, by touches of one or several sensors.
 
@@ -102,8 +83,7 @@ class Tracker:
         """Start again with the object at T_base_object (4, 4), metres, with a covariance (6, 6), as in RefinedPose.
 
         Without a start, the whole object is searched for the first touches. The base is the frame of the sensor's
-        poses. If motions are given instead, the base is the sensor frame at the first frame. Raises TouchError for an
-        invalid pose or covariance.
+        poses. Raises TouchError for an invalid pose or covariance.
         """
         T = require_rigid(T_base_object, "T_base_object", TouchError)
         covariance = require_covariance(covariance, "the covariance of T_base_object", TouchError)
@@ -123,18 +103,13 @@ class Tracker:
         self._stayed: Stayed | None = None  # the track without the latest slip, until it is clear that there was one
 
     def update(
-        self,
-        time_s: float,
-        touches: Touch | Sequence[Touch | None] | None = None,
-        T_base_sensor: Floats | None = None,
-        motion: Motion | None = None,
+        self, time_s: float, touches: Touch | Sequence[Touch | None] | None = None, T_base_sensor: Floats | None = None
     ) -> TrackedPose:
         """Return the pose at `time_s` seconds, given the touch of one finger, or an entry for each finger.
 
         None is a finger without contact. A finger has the same place in the list at all frames. Several fingers need
-        `Touch.T_base_sensor`. The pose of a single sensor may also come from `T_base_sensor` (4, 4), metres, or from
-        the sensor's `motion` since the previous frame. Give poses for all frames, or motions for all. Raises TouchError
-        if neither is given, if time runs backwards, or for a touch of another sensor.
+        `Touch.T_base_sensor`. The pose of a single sensor may also come from `T_base_sensor` (4, 4), metres. Raises
+        TouchError if a pose is missing, if time runs backwards, or for a touch of another sensor.
         """
         self._require_later(time_s)
         fingers = [touches] if touches is None or isinstance(touches, Touch) else list(touches)
@@ -142,12 +117,8 @@ class Tracker:
         for touch in seen:
             self.localizer.find_localizer(touch)
             require_depths(touch, "a track")
-        if len(fingers) == 1:
-            T, added = self._place(time_s, fingers[0], T_base_sensor, motion)
-            finger = 0
-        else:
-            T, added = self._place_fingers(time_s, seen, T_base_sensor, motion), None
-            finger = next((k for k, touch in enumerate(fingers) if touch is not None), self._finger)
+        T = self._place(time_s, fingers, T_base_sensor)
+        finger = next((k for k, touch in enumerate(fingers) if touch is not None), self._finger)
         if finger != self._finger:
             self._alike = 0.0
         before, lever_m = self._T_base_sensor, 1e-3 * self.options.lever_mm
@@ -155,9 +126,9 @@ class Tracker:
         passed_s = time_s - self._time_s if math.isfinite(self._time_s) else 0.0
         self._time_s, self._T_base_sensor, self._finger = time_s, T, finger
         self._alike *= math.exp(-1e3 * moved_m / self.options.apart_mm)
-        self._modes = self._filter.predict(self._modes, T, passed_s, added)
+        self._modes = self._filter.predict(self._modes, T, passed_s)
         if self._stayed is not None:
-            stayed = self._filter.predict(self._stayed.modes, T, passed_s, added)
+            stayed = self._filter.predict(self._stayed.modes, T, passed_s)
             self._stayed = replace(self._stayed, modes=stayed)
         if not seen:
             self._alike = 0.0  # the next contact will have new errors
@@ -312,44 +283,27 @@ class Tracker:
                 "or make a new Tracker for another sequence"
             )
 
-    def _place_fingers(
-        self, time_s: float, touches: Sequence[Touch], T_base_sensor: Floats | None, motion: Motion | None
-    ) -> Floats:
-        """Return the pose (4, 4), metres, of the first sensor in contact or, without contact, that of the last frame.
+    def _place(self, time_s: float, fingers: Sequence[Touch | None], T_base_sensor: Floats | None) -> Floats:
+        """Return the pose (4, 4), metres, of the first sensor in contact.
 
-        Raises TouchError unless the pose of each touch's sensor comes from the touch.
+        Without contact, it is that of the only sensor, or that of the last frame. Raises TouchError if a pose is
+        missing, or is given twice.
         """
-        unknown = [touch.name for touch in touches if touch.T_base_sensor is None]
-        moved = T_base_sensor is not None or motion is not None
-        if unknown or moved or (self._T_base_sensor is not None and self._filter.relative):
+        seen = [touch for touch in fingers if touch is not None]
+        if len(fingers) == 1:
+            told = T_base_sensor if T_base_sensor is not None or not seen else seen[0].T_base_sensor
+            if told is None:
+                raise TouchError(f"the frame at {time_s:g} s does not give its sensor's pose; give T_base_sensor")
+            return require_rigid(told, f"the sensor's pose at {time_s:g} s", TouchError)
+        unknown = [touch.name for touch in seen if touch.T_base_sensor is None]
+        if unknown or T_base_sensor is not None:
             raise TouchError(
                 f"the frame at {time_s:g} s has several fingers, so each touch must have its T_base_sensor; "
-                + (f"{unknown[0]} has none" if unknown else "leave out other poses and motions")
+                + (f"{unknown[0]} has none" if unknown else "leave out the other pose")
             )
-        self._filter.relative = False
-        if touches:
-            return np.asarray(touches[0].T_base_sensor)
+        if seen:
+            return np.asarray(seen[0].T_base_sensor)
         return np.eye(4) if self._T_base_sensor is None else self._T_base_sensor
-
-    def _place(
-        self, time_s: float, touch: Touch | None, T_base_sensor: Floats | None, motion: Motion | None
-    ) -> tuple[Floats, Floats | None]:
-        """Return the sensor's pose (4, 4), and the covariance that its motion adds, along the base's axes."""
-        told = T_base_sensor if T_base_sensor is not None or touch is None else touch.T_base_sensor
-        before = self._T_base_sensor
-        relative = told is None if before is None else self._filter.relative
-        if (told is None) != relative or (before is not None and told is None and motion is None):
-            raise TouchError(
-                f"the frame at {time_s:g} s does not give its sensor's pose as the first one does; give T_base_sensor "
-                "for all frames, or motions for all"
-            )
-        self._filter.relative = relative
-        if told is not None:
-            return require_rigid(told, f"the sensor's pose at {time_s:g} s", TouchError), None
-        if before is None or motion is None:
-            return np.eye(4), None
-        T = before @ motion.T_previous_sensor
-        return T, rotate_covariance(motion.covariance, before[:3, :3])
 
     def _result(self, imprint_iou: float, searched: bool, touched: bool = True, slipped: bool = False) -> TrackedPose:
         T = np.array([mode.T_sensor_object for mode in self._modes]).reshape(-1, 4, 4)

@@ -18,7 +18,7 @@ from tactile_loc.plugin.helpers import invert, make_transform, make_translation,
 from tactile_loc.plugins.renderers.zbuffer import ZBufferRenderer
 from tactile_loc.tracking.key_search import KeySearch
 from tactile_loc.tracking.tracked_pose import TrackedPose, TrackTrust
-from tactile_loc.tracking.tracker import JUMPED_NATS, MOST_DOUBTS, MOST_WEIGHED, Motion, Tracker
+from tactile_loc.tracking.tracker import JUMPED_NATS, MOST_DOUBTS, MOST_WEIGHED, Tracker
 
 SlidingTouches = pytest.importorskip("tactile_loc_benchmark.sliding_touches").SlidingTouches
 
@@ -81,18 +81,6 @@ def test_a_slide_is_tracked_and_the_covariance_holds_the_truth(pin, slide):
     known = [(PoseMetric(pin.object), one.T_sensor_object, one.covariance) for one in found]
     nees = [compute_nees(*one, T) for one, T in zip(known, truth, strict=True)]
     assert np.median(nees) < 16.8  # 99 % of chi-squared; the frames of one slide have similar errors
-
-
-def test_motions_give_the_same_track_as_poses(pin, slide):
-    tracker = Tracker(pin)
-    tracker.start(slide[0].T_sensor_object, np.diag(STD**2))  # the base is the first sensor
-    motion, last = None, slide[0]
-    for frame in slide:
-        T = invert(last.T_base_sensor) @ frame.T_base_sensor
-        motion = None if frame is slide[0] else Motion(T, np.diag([1e-10] * 3 + [1e-8] * 3))
-        touch = None if frame.touch is None else replace(frame.touch, T_base_sensor=None)
-        found, last = tracker.update(frame.time_s, touch, motion=motion), frame
-    assert off_mm(pin, found.T_sensor_object, slide[-1].T_sensor_object) < 0.5
 
 
 def at_once(localizer: Localizer, **options: float) -> Localizer:
@@ -390,24 +378,12 @@ def test_invalid_input_gives_a_one_sentence_error(pin, slide):
 
 
 def test_invalid_poses_covariances_and_creep_are_refused(pin):
-    for make, T, covariance, words in (
-        (Tracker(pin).start, np.eye(3), np.eye(6), ("T_base_object", "rigid")),
-        (Tracker(pin).start, np.eye(4), -np.eye(6), ("T_base_object", "(6, 6)")),
-        (Motion, 2 * np.eye(4), np.eye(6), ("motion", "rigid")),
-        (Motion, np.eye(4), np.eye(3), ("motion", "(6, 6)")),
+    for T, covariance, words in (
+        (np.eye(3), np.eye(6), ("T_base_object", "rigid")),
+        (np.eye(4), -np.eye(6), ("T_base_object", "(6, 6)")),
     ):
         with pytest.raises(TouchError, match=naming(*words)):
-            make(T, covariance)
+            Tracker(pin).start(T, covariance)
     for creep in (-1e-3, np.nan, np.inf):
         with pytest.raises(ConfigError, match=naming(f"{creep:g} m")):
             Tracker(pin, creep_m=creep)
-
-
-def test_every_update_needs_a_motion_after_the_first_motion(pin, sure):
-    tracker = Tracker(pin)
-    touch = replace(sure[0], T_base_sensor=None)
-    tracker.start(touch.T_sensor_object, np.diag(STD**2))
-    tracker.update(0.0, touch)
-    for pose in ([], [make_translation([0.0, 0.0, 0.1])]):
-        with pytest.raises(TouchError, match=naming("0.1 s", "T_base_sensor")):
-            tracker.update(0.1, touch, *pose)
