@@ -8,7 +8,7 @@ from tactile_loc.core.runtime.errors import MissingLibraryError
 # What the extras, `dev` and the annexes install, by the names of its modules. Other libraries are never excused.
 OPTIONAL = {
     "ContactMechanics", "OpenGL", "apsw", "cascadio", "collada", "cv2", "distributed", "faiss", "fcl", "griffe",
-    "gtsam", "imageio", "kiss_icp", "lxml", "lz4", "manifold3d", "markdown", "mcap", "mujoco", "nbformat", "networkx",
+    "gtsam", "kiss_icp", "lxml", "lz4", "manifold3d", "markdown", "mcap", "mujoco", "nbformat", "networkx",
     "open3d", "pyarrow", "pyrender", "rerun", "rosbags", "rtree", "ruff", "selenium", "small_gicp",
     "tactile_loc_app", "tactile_loc_benchmark", "tactile_loc_inspect", "tactile_loc_library",
     "tactile_loc_test_object", "tactile_loc_touchability", "torch", "viser", "yaml", "zstandard",

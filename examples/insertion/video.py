@@ -133,9 +133,7 @@ def write_video(frames: list[Image8], path: Path) -> None:
     try:
         import imageio_ffmpeg
     except ImportError as error:
-        raise VideoError(
-            "a webm file needs imageio-ffmpeg; run pip install 'tactile-loc[video]', or write a gif"
-        ) from error
+        raise VideoError("a webm file needs imageio-ffmpeg; run pip install imageio-ffmpeg, or write a gif") from error
     height, width = (size - size % 2 for size in frames[0].shape[:2])
     options = {
         "codec": "libvpx-vp9",

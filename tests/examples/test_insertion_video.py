@@ -18,7 +18,7 @@ FRAMES = [np.full((60, 80, 3), value, np.uint8) for value in (0, 100, 200)]
 
 
 def test_a_webm_file_has_all_frames(tmp_path):
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="needs pip install 'tactile-loc[video]'")
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="needs imageio-ffmpeg")
     write_video(FRAMES, tmp_path / "three.webm")
     reader = imageio_ffmpeg.read_frames(str(tmp_path / "three.webm"))
     assert next(reader)["size"] == (80, 60)

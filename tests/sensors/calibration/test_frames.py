@@ -177,7 +177,7 @@ def test_choose_frames_selects_the_deepest_and_untouched_frames():
     assert choose_frames(np.stack([GEL] * 20).astype(np.float32)) == []
 
 
-@pytest.mark.skipif(importlib.util.find_spec("imageio") is None, reason="imageio reads the video")
+@pytest.mark.skipif(importlib.util.find_spec("cv2") is None, reason="OpenCV reads the video")
 def test_a_video_is_extracted_into_a_folder_only_once(tmp_path):
     pictures = [Image.fromarray(image).quantize(256, dither=Image.Dither.NONE) for image in film()]
     pictures[0].save(tmp_path / "film.gif", save_all=True, append_images=pictures[1:], duration=40)
@@ -193,6 +193,6 @@ def test_a_video_is_extracted_into_a_folder_only_once(tmp_path):
 
 def test_an_unreadable_video_is_refused(tmp_path):
     (tmp_path / "film.mp4").write_bytes(b"no film")
-    with pytest.raises(CalibrationError, match=naming("film.mp4", "pip install 'tactile-loc[video]'")):
+    with pytest.raises(CalibrationError, match=naming("film.mp4", "MP4")):
         read_frames(tmp_path / "film.mp4")
     assert not Path(tmp_path / "film-frames").exists()
