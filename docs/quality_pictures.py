@@ -171,6 +171,28 @@ def find_picture(name: str, palette: Palette) -> Path:
     return IMAGES / f"quality-{name}{'-dark' if palette is DARK else ''}.png"
 
 
+def repaint(figure: Figure, palette: Palette) -> Figure:
+    """Give a figure on light paper the paper, the text and the lines of a palette, and return it."""
+    from matplotlib.colors import to_hex
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+    from matplotlib.patheffects import withStroke
+    from matplotlib.text import Text
+
+    new = {getattr(LIGHT, name): getattr(palette, name) for name in ("paper", "ink", "soft", "line")}
+    new["#000000"] = palette.ink
+    parts: list[Any] = figure.findobj(lambda one: isinstance(one, Text | Line2D))
+    for part in parts:
+        part.set_color(new.get(to_hex(part.get_color()), part.get_color()))
+        if part.get_path_effects():
+            part.set_path_effects([withStroke(linewidth=2.5, foreground=palette.paper)])
+    patches: list[Any] = figure.findobj(Patch)
+    for patch in patches:
+        for get, put in ((patch.get_facecolor, patch.set_facecolor), (patch.get_edgecolor, patch.set_edgecolor)):
+            put(new.get(to_hex(get()), get()) if get()[3] else get())
+    return figure
+
+
 def read_values(path: Path) -> Values:
     """Return the values that a picture shows."""
     with Image.open(path) as picture:
@@ -185,7 +207,7 @@ def main() -> None:
         values, info = read(results), PngInfo()
         info.add_text(KEY, json.dumps(values))
         for palette in (LIGHT, DARK):
-            path = save_figure(find_picture(name, palette), palette.repaint(draw(values)))
+            path = save_figure(find_picture(name, palette), repaint(draw(values), palette))
             with Image.open(path) as picture:
                 picture.convert("RGB").quantize(128).save(path, pnginfo=info, optimize=True)
             print(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,9 +10,6 @@ from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.io.shape_pictures import OUTLINE, read_colour
 from tactile_loc.locate.result.result_html import VERDICT_COLOURS
 from tactile_loc.locate.result.verdict import Verdict
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -46,28 +42,6 @@ class Palette:
     def rgb(colour: str) -> Floats:
         """Return red, green and blue (3,), 0 to 1, of a colour such as "#ffffff"."""
         return np.array(read_colour(colour), float) / 255
-
-    def repaint(self, figure: Figure) -> Figure:
-        """Give a figure on light paper the paper, the text and the lines of this palette, and return it."""
-        from matplotlib.colors import to_hex
-        from matplotlib.lines import Line2D
-        from matplotlib.patches import Patch
-        from matplotlib.patheffects import withStroke
-        from matplotlib.text import Text
-
-        light = Palette()
-        new = {getattr(light, name): getattr(self, name) for name in ("paper", "ink", "soft", "line")}
-        new["#000000"] = self.ink
-        parts: list[Any] = figure.findobj(lambda one: isinstance(one, Text | Line2D))
-        for part in parts:
-            part.set_color(new.get(to_hex(part.get_color()), part.get_color()))
-            if part.get_path_effects():
-                part.set_path_effects([withStroke(linewidth=2.5, foreground=self.paper)])
-        patches: list[Any] = figure.findobj(Patch)
-        for patch in patches:
-            for get, put in ((patch.get_facecolor, patch.set_facecolor), (patch.get_edgecolor, patch.set_edgecolor)):
-                put(new.get(to_hex(get()), get()) if get()[3] else get())
-        return figure
 
 
 LIGHT = Palette()

@@ -1,14 +1,12 @@
-"""The shared colours: verdicts can be read and told apart, and a figure changes its paper and its ink."""
+"""The shared colours: verdicts can be read and told apart."""
 
 import itertools
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
 from tactile_loc.locate.result.verdict import Verdict
 from tactile_loc.view.palette import DARK, LIGHT, Palette
-from tactile_loc.view.pictures import make_figure, render_figure
 
 RED_BLIND = np.array([[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]])
 """Linear red, green and blue as people without red cones see them (Machado, Oliveira and Fernandes 2009)."""
@@ -40,14 +38,3 @@ def test_colours_differ_without_red_cones():
     for group in ([LIGHT.best, LIGHT.truth], names):
         for one, other in itertools.combinations(group, 2):
             assert np.abs(RED_BLIND @ (linear(one) - linear(other))).max() > 0.05
-
-
-def test_a_figure_is_repainted_for_dark_paper():
-    figure = make_figure(2, 1, title="a title")
-    axes = figure.subplots()
-    axes.set_xlabel("x (mm)")
-    (own,) = axes.plot([0, 1], color=LIGHT.truth)
-    DARK.repaint(figure)
-    assert axes.xaxis.label.get_color() == DARK.ink
-    assert to_hex(own.get_color()) == LIGHT.truth
-    assert (render_figure(figure)[0, 0] == np.round(255 * Palette.rgb(DARK.paper))).all()
