@@ -193,17 +193,6 @@ def find_py3dcal(source: Path) -> PressSet | None:
     return PressSet("a py3DCal set", f"{len(circles)} annotated images", photos, circles, radius_mm, 1 / px_per_mm)
 
 
-def find_9dtact(source: Path) -> PressSet | None:
-    """Find ref.png and sample.png of a sensor, or their rectified versions, in depth_calibration."""
-    folder = source / "depth_calibration" if (source / "depth_calibration").is_dir() else source
-    if not (folder / "Pixel_to_Depth.npy").is_file():
-        return None
-    start = "rectify_crop_" if (folder / "rectify_crop_ref.png").is_file() else ""
-    presses = list_files(folder, {".png"}, f"{start}sample*.png")
-    photos = {path.relative_to(source).as_posix(): path for path in (folder / f"{start}ref.png", *presses)}
-    return PressSet("a 9DTact calibration", f"{start}ref.png and {len(presses)} of {start}sample*.png", photos)
-
-
 def find_table(source: Path) -> PressSet | None:
     """Find a table whose columns name images and circles: see COLUMNS. FOTS writes csv/annotate.csv."""
     for table in _list_inside(source, "*.csv", 1):
@@ -266,8 +255,7 @@ def find_photos(source: Path) -> PressSet | None:
     return PressSet("a folder of photos", f"{len(photos)} photos", photos) if photos else None
 
 
-OF_TOOLS = (find_gs_sdk, find_taxim, find_py3dcal, find_9dtact)
-LAYOUTS = (*OF_TOOLS, find_table, find_list, find_press_folders, find_photos)
+LAYOUTS = (find_gs_sdk, find_taxim, find_py3dcal, find_table, find_list, find_press_folders, find_photos)
 
 
 def _list_inside(folder: Path, pattern: str, depth: int = 2) -> list[Path]:

@@ -132,16 +132,6 @@ def write_folders(root: Path, *names: str) -> Path:
     return root
 
 
-def write_9dtact(root: Path) -> Path:
-    folder = root / "depth_calibration"
-    folder.mkdir(parents=True)
-    np.save(folder / "Pixel_to_Depth.npy", np.zeros(9))
-    for start in ("", "rectify_crop_"):
-        write_image(folder / f"{start}ref.png", BALLS.background)
-        write_image(folder / f"{start}sample.png", BALLS.images[0])
-    return root
-
-
 def write_probed(root: Path) -> Path:
     source = write("py3dcal", root)
     (source / "sensor_calibration_data" / "annotations" / "annotations.csv").unlink()
@@ -150,7 +140,6 @@ def write_probed(root: Path) -> Path:
 
 UNLABELLED = {
     "one folder per press": (lambda root: write_folders(root, "gelsight.png"), 4, "press 2/gelsight.png"),
-    "a 9DTact calibration": (write_9dtact, 2, "depth_calibration/rectify_crop_sample.png"),
     "a py3DCal set": (write_probed, 4, "sensor_calibration_data/probe_images/2_X2.0Y2.0Z1.0.png"),
 }
 
