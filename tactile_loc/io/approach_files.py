@@ -24,8 +24,6 @@ from tactile_loc.io.toml import (
 )
 from tactile_loc.store.files import write_text
 
-Pose = Floats
-
 TRAVEL_M = 0.1
 
 
@@ -38,7 +36,7 @@ class Approach:
     Lengths are in metres. Raises ConfigError if `T_base_sensor` is not a rigid transform.
     """
 
-    T_base_sensor: Pose
+    T_base_sensor: Floats
     press_m: float | None = None
     travel_m: float = TRAVEL_M
     cost: float = 1.0
@@ -58,7 +56,7 @@ class _ApproachTable(PoseKeys):
     cost: Annotated[float, Field(gt=0)] = Field(1.0, description="a positive number, or inf if it cannot be reached")
 
 
-def read_approaches(path: str | Path, T_base_sensor: Pose | None = None) -> tuple[Approach, ...]:
+def read_approaches(path: str | Path, T_base_sensor: Floats | None = None) -> tuple[Approach, ...]:
     """Read the `[[approach]]` tables of a TOML file, in their order.
 
     A table gives the sensor's start pose in the base frame or in the sensor frame of the previous touch. In the base
@@ -99,7 +97,7 @@ def write_approaches(path: str | Path, approaches: Sequence[Approach], in_base: 
     return write_text(Path(path), text)
 
 
-def _place_start(keys: _ApproachTable, T_base_first: Pose | None) -> Pose:
+def _place_start(keys: _ApproachTable, T_base_first: Floats | None) -> Floats:
     """Return the start pose in the base frame, or in the previous touch's sensor frame if that touch has no pose."""
     T, motion = keys.read_pose("T_base_sensor"), to_array(keys.T_sensor_next)
     if motion is not None:

@@ -45,8 +45,6 @@ from tactile_loc.io.toml import (
 from tactile_loc.io.touches import read_contents
 from tactile_loc.store.files import read_json, write_text
 
-Pose = Floats
-
 NAMES = ("poses.csv", "touches.toml", "poses.json")  # looked for in a folder, in this order
 PLACE = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -69,13 +67,13 @@ class ListedTouch:
     sensor: str | None = None
     unit: DepthUnit | None = None
     press_depth_m: float | None = None
-    T_base_sensor: Pose | None = None
+    T_base_sensor: Floats | None = None
     T_base_sensor_std_m: float | None = None
     T_base_sensor_std_rad: float | None = None
-    T_base_flange: Pose | None = None
+    T_base_flange: Floats | None = None
     mount: Mount | None = None
     kind: TouchKind | None = None
-    T_sensor_object: Pose | None = None
+    T_sensor_object: Floats | None = None
 
 
 Example = tuple[ListedTouch, ...]  # touches of one object at rest
@@ -119,7 +117,7 @@ def read_touch_list(path: str | Path, of_flange: bool = False) -> tuple[ListedTo
     return tuple(touches)
 
 
-def write_touch_list(path: str | Path, sensor_poses: Mapping[str, Pose], sensor: str | None = None) -> Path:
+def write_touch_list(path: str | Path, sensor_poses: Mapping[str, Floats], sensor: str | None = None) -> Path:
     """Write a list of touches as TOML, atomically, and return the path. Raises OutputError if that fails.
 
     `sensor_poses` has `T_base_sensor` (4, 4), metres, by the touch's file. `sensor` is the sensor of all touches, as in
@@ -293,7 +291,7 @@ def _find_pose(listed: ListedTouch) -> ListedTouch:
     return replace(listed, T_sensor_object=to_array(read_contents(listed.path).T_sensor_object))
 
 
-def _require_rest(path: Path, bases: Sequence[Pose]) -> None:
+def _require_rest(path: Path, bases: Sequence[Floats]) -> None:
     """Raise TouchError if the poses and the sensors' poses put the object at different places."""
     apart_m = max((float(np.linalg.norm(T[:3, 3] - bases[0][:3, 3])) for T in bases), default=0.0)
     if apart_m > REST_M:

@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.lie import rotate_covariance
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Floats, invert
 from tactile_loc.core.runtime.errors import FrameError, NoContactError, RecordingError, TactileLocError
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.locate.result.localization import Localization
@@ -18,8 +17,6 @@ from tactile_loc.locate.several_touches import localize_together
 from tactile_loc.tracking.key_search import KeySearch, choose_telling
 from tactile_loc.tracking.replay import ReplayedFrame, ReplayFrame, ReplaySource
 from tactile_loc.tracking.tracker import Tracker
-
-Floats = NDArray[np.float64]
 
 MOST_KEYS = 8  # touches that are located together
 IMAGE = "image "  # before the number, in the names of key touches

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.errors import NoContactError, TactileLocError
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.core.sensing.touch import Touch
@@ -20,8 +20,6 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.located_frame import LOCATED, LocatedFrame, count_frames
 from tactile_loc.locate.result.verdict import Verdict, explain_verdict
 from tactile_loc.tracking.tracker import Tracker
-
-Floats = NDArray[np.float64]
 
 RECENT = 20  # the frame rate is computed from this number of latest frames
 

@@ -16,13 +16,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.hand_eye import UNIT
 from tactile_loc.core.geometry.lie import compute_pose_errors, move, move_covariance
-from tactile_loc.core.geometry.rigid import cross_matrix, invert
-
-Floats = NDArray[np.float64]
+from tactile_loc.core.geometry.rigid import Floats, cross_matrix, invert
 
 FREEDOM = 4.0  # degrees of freedom of Student's t
 POSE, TOUCH, SENSOR = slice(0, 6), slice(6, 12), slice(12, 18)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses
+from tactile_loc.core.geometry.rigid import Floats, Poses
 from tactile_loc.core.objects.mesh import ObjectModel
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
@@ -20,8 +20,6 @@ from tactile_loc.core.runtime.errors import TouchError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.locate.identify import LEAST_REPORTED, Identification
 from tactile_loc.locate.result.localization import Localization
-
-Float64 = NDArray[np.float64]
 
 MOST_MODES = 30
 NOISY, SHARPEST = 0.25, 5.0  # unexplained share of an imprint with strong noise; largest sharpness
@@ -40,7 +38,7 @@ class PoseModes:
 
     objects: tuple[ObjectModel, ...]
     T_base_object: Poses
-    probabilities: Float64
+    probabilities: Floats
     geometry: SensorGeometry
     press_m: float
     unlisted: float = 0.0
@@ -111,7 +109,7 @@ def measure_sharpness(imprint_ious: Sequence[float]) -> float:
 def find_distinct_modes(
     obj: ObjectModel,
     T_base_object: Poses,
-    probabilities: Float64,
+    probabilities: Floats,
     geometry: SensorGeometry,
     press_m: float,
     imprint_ious: Sequence[float] = (),
@@ -157,6 +155,6 @@ def join_modes(every: Sequence[PoseModes], shares: Sequence[float]) -> PoseModes
     )
 
 
-def compute_entropy(p: Float64) -> Float64:
+def compute_entropy(p: Floats) -> Floats:
     """Return the Shannon entropy (...,) in nats of probabilities (..., K)."""
     return np.asarray(-(p * np.log(np.where(p > 0, p, 1.0))).sum(axis=-1))

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_loc.core.geometry.rigid import Poses, invert, make_transform, make_translation, transform_points
+from tactile_loc.core.geometry.rigid import Floats, Poses, invert, make_transform, make_translation, transform_points
 from tactile_loc.core.poses.merging import merge_modes
 from tactile_loc.core.poses.metric import PoseMetric
 from tactile_loc.core.poses.priors import PosePrior
@@ -20,8 +19,6 @@ from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.result.freedom import explain_as_well
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.tracking.pose_filter import PoseFilter, SeenPose, estimate_motion_errors
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.io.options import TrackerOptions
 from tactile_loc.locate.result.located_frame import LocatedFrame
 from tactile_loc.locate.result.verdict import Verdict
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_loc.core.geometry.rigid import Poses, require_covariance, require_rigid
+from tactile_loc.core.geometry.rigid import Floats, Poses, require_covariance, require_rigid
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
 from tactile_loc.core.sensing.touch import Touch, require_depths
 from tactile_loc.locate.localizer import Localizer
@@ -25,8 +24,6 @@ from tactile_loc.locate.result.verdict import Verdict, judge
 from tactile_loc.tracking.key_search import KeySearch, list_poses, measure_motion_m
 from tactile_loc.tracking.track_modes import ModeFilter, TrackMode
 from tactile_loc.tracking.tracked_pose import TrackedPose, TrackTrust
-
-Floats = NDArray[np.float64]
 
 FITTED_IOU = 0.5  # usual imprint IoU below which a track has never fitted
 MOST_DOUBTS = 3  # consecutive touches that no mode explains as well as before; then the whole object is searched

@@ -22,6 +22,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates
 from scipy.special import j1
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.gel import Gel, compute_compliance, compute_smoothing
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
@@ -48,7 +49,6 @@ SMOOTHING_PX = 0.7  # of the colours, against the camera's noise
 UNSURE = 0.1  # standard deviation of the brightness between presses, as a share
 ROUNDS = 5  # estimates of the brightness
 
-Floats = NDArray[np.float64]
 AnyFloats = NDArray[np.floating[Any]]
 
 

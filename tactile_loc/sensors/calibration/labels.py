@@ -10,13 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Bools, Float32
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.reading.surface import differentiate
 
 Image = NDArray[np.uint8]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 SKIRT = 2.5  # distance from a ball's centre beyond which the gel is untouched, in radii of the visible circle
 LARGEST_BALL_M = 1.0
@@ -35,8 +34,8 @@ class PressLabel:
 
     indentation_m: Float32
     slope: Float32
-    contact: Mask
-    known: Mask
+    contact: Bools
+    known: Bools
     absolute: bool = True
 
 

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import CalibrationError
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.sensors.calibration.frames import PressImage
-from tactile_loc.sensors.calibration.labels import WIDEST, Float32, Image
+from tactile_loc.sensors.calibration.labels import WIDEST, Image
 from tactile_loc.sensors.calibration.untouched import (
     HOW_TO_PRESS,
     MOST_STACKED,
@@ -36,8 +36,6 @@ VISIBLE = 0.3  # least share of a cut circle that lies in the image
 SETTLED = 0.13  # largest distance between the rim's centre and the imprint's in a cut circle, in radii
 EXPOSED, MOST_EXPOSED = 253, 0.25  # least count of a saturated value, and largest share of such values in a circle
 OVERSIZED = "imprint larger than the ball"
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

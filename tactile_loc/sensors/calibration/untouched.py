@@ -11,9 +11,10 @@ from pathlib import PurePath
 import numpy as np
 from scipy.ndimage import gaussian_filter, shift, uniform_filter
 
+from tactile_loc.core.geometry.rigid import Bools, Float32
 from tactile_loc.core.runtime.compiled import map_in_threads
 from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
+from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.reading.circles import (
     CONTRAST,
     Circle,
@@ -239,7 +240,7 @@ def _fit_smooth(image: Float32, weight: Float32, order: int) -> Float32:
     return np.asarray(terms @ factors, np.float32)
 
 
-def measure_shift(change: Float32, reference: Float32, touched: Mask) -> tuple[float, float]:
+def measure_shift(change: Float32, reference: Float32, touched: Bools) -> tuple[float, float]:
     """Return the shift (x, y) of the gel's texture outside the touched pixels (H, W), pixels; 0 without a clear shift.
 
     A small shift is found by least squares: the change is a multiple of the gel's gradients. A large shift is found by
@@ -263,7 +264,7 @@ def measure_shift(change: Float32, reference: Float32, touched: Mask) -> tuple[f
     return _measure_large_shift(gel + seen, gel, free)
 
 
-def _measure_large_shift(seen: Float32, gel: Float32, free: Mask) -> tuple[float, float]:
+def _measure_large_shift(seen: Float32, gel: Float32, free: Bools) -> tuple[float, float]:
     """Return the shift (x, y) by whole pixels that increases the correlation of details (H, W, 3), or 0.
 
     The result is 0 if no shift increases the correlation by more than ALIKE.

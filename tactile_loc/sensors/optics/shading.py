@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.sensing.noise import GelPixels
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.optics.lamps import Light, Optics
-
-Float32 = NDArray[np.float32]
-Image = NDArray[np.uint8]
 
 WHITE = 255.0  # counts of a full white pixel
 

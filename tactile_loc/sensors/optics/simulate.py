@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.sensing.noise import GelPixels
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
+from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.optics.lamps import Optics
 from tactile_loc.sensors.optics.shading import render_images
-
-Float32 = NDArray[np.float32]
-Image = NDArray[np.uint8]
 
 SOFTNESS_M = 8e-4  # fitted to photos of a flat prism, pressed 0.25 to 1 mm into a GelSlim
 WIDTHS = (2.0, 1.0, 0.5, 0.25)  # widths of the blurs, as multiples of the softness

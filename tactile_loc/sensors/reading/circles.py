@@ -23,9 +23,9 @@ from scipy import fft
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import least_squares
 
-from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats
+from tactile_loc.sensors.calibration.labels import Image
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 LIKENESS, CONTRAST = 0.65, 4.0  # least likeness of a ball's imprint, and least contrast, counts
@@ -50,7 +50,7 @@ class Circle:
     y_px: float
     radius_px: float
 
-    def measure_distance_px(self, shape: tuple[int, int]) -> Array:
+    def measure_distance_px(self, shape: tuple[int, int]) -> Floats:
         """Return the distance (H, W) of each pixel's centre from the circle's centre, pixels."""
         height, width = shape
         y, x = np.ogrid[:height, :width]
@@ -101,7 +101,7 @@ def thin(presses: Sequence[T], most: int) -> Sequence[T]:
     return presses[:: max(1, -(-len(presses) // most))]
 
 
-def find_imprint(change: Float32, hidden: Mask | None = None) -> Imprint:
+def find_imprint(change: Float32, hidden: Bools | None = None) -> Imprint:
     """Return the strongest imprint in a colour change (H, W, 3). It need not be that of a ball.
 
     The imprint's circle is approximate; `find_rim` refines it. Pixels that are marked in `hidden` (H, W) count as
@@ -177,7 +177,7 @@ def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
         x, y, colours = _take_around(change, circle)
         spread = float(((colours - colours.mean(axis=0)) ** 2).sum())
 
-        def missed(values: Array, x: Array = x, y: Array = y, colours: Array = colours) -> Array:
+        def missed(values: Floats, x: Floats = x, y: Floats = y, colours: Floats = colours) -> Floats:
             q, _ = np.linalg.qr(_build_ramps(x, y, values))
             return np.asarray((colours - q @ (q.T @ colours)).ravel())
 
@@ -188,7 +188,7 @@ def _fit_circle(change: Float32, start: Circle) -> tuple[Circle, float]:
     return circle, share
 
 
-def _take_around(change: Float32, circle: Circle) -> tuple[Array, Array, Array]:
+def _take_around(change: Float32, circle: Circle) -> tuple[Floats, Floats, Floats]:
     """Return a sample of the pixels within REACH radii: their x (P,), y (P,) and change (P, 3)."""
     rows, columns = np.nonzero(circle.measure_distance_px(change.shape[:2]) < REACH * circle.radius_px)
     chosen = np.s_[:: max(1, len(rows) // FITTED)]
@@ -197,7 +197,7 @@ def _take_around(change: Float32, circle: Circle) -> tuple[Array, Array, Array]:
     return x, y, change[rows, columns].astype(np.float64)
 
 
-def _build_ramps(x: Array, y: Array, values: Array) -> Array:
+def _build_ramps(x: Floats, y: Floats, values: Floats) -> Floats:
     """Return the model's terms (P, 8) at pixels x (P,), y (P,) for a circle with `values` (x, y, radius), pixels."""
     dx, dy = (x - values[0]) / values[2], (y - values[1]) / values[2]
     falls = 1 / (1 + np.hypot(dx, dy) ** FALL)
@@ -239,7 +239,7 @@ def _find_relief(change: Float32, circle: Circle) -> Float32:
     return np.asarray(strength - gaussian_filter(strength, wide), np.float32)
 
 
-def _find_steepest(relief: Float32, circle: Circle, directions: Array) -> tuple[Array, Array]:
+def _find_steepest(relief: Float32, circle: Circle, directions: Floats) -> tuple[Floats, Floats]:
     """Find the steepest drop of the relief on each ray.
 
     Return the offsets (RAYS,) of these points from the circle, pixels, and their weights (RAYS,).
@@ -263,7 +263,7 @@ def fit_robustly(
     first: NDArray[np.floating],
     scale: Callable[[float], float],
     rounds: int,
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Fit factors (K, C) of the terms (P, K) to the values (P, C). Return the factors and the robust weights (P,).
 
     A robust weight is the weight in `first` (P,) times Tukey's function of the residual. `scale` maps the median

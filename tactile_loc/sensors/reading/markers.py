@@ -25,11 +25,10 @@ from scipy.sparse import diags_array, eye_array, kron
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
+from tactile_loc.core.geometry.rigid import Bools, Float32, Floats
 from tactile_loc.core.runtime.errors import CalibrationError
-from tactile_loc.sensors.calibration.labels import Float32, Image, Mask
+from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.reading.reading import reduce_image
-
-Array = NDArray[np.float64]
 
 OFFSET = 8.0  # counts that are added before the logarithm, against noise in black corners
 DISC = np.e / 2  # shade of a disc, divided by the largest answer of the filters to the disc
@@ -60,7 +59,7 @@ class Dots:
     """
 
     shape: tuple[int, int]
-    centres_px: Array
+    centres_px: Floats
     radius_px: float
     spacing_px: float
     depth: float
@@ -82,7 +81,7 @@ class UntouchedGel:
     clear: Image
     small: Image
     dots: Dots | None = None
-    hidden: Mask | None = None
+    hidden: Bools | None = None
 
     @classmethod
     def of(cls, image: Image) -> UntouchedGel:
@@ -145,7 +144,7 @@ def find_dots(image: Image) -> Dots | None:
     """
     shade = measure_shade(image)
     height, width = shade.shape
-    best: tuple[float, float, Array] | None = None
+    best: tuple[float, float, Floats] | None = None
     for sigma in np.geomspace(FINEST_PX, max(COARSEST * max(height, width), 2 * FINEST_PX), SCALES).tolist():
         places, depths = _find_blobs(shade, sigma)
         if len(places) < FEWEST or (least := float(np.sort(depths)[-FEWEST])) < LEAST_DEPTH:
@@ -169,7 +168,7 @@ def measure_shade(image: Image) -> Float32:
     return np.asarray(-np.log(image.mean(axis=2, dtype=np.float32) + np.float32(OFFSET)), np.float32)
 
 
-def _find_blobs(shade: Float32, sigma: float) -> tuple[Array, Array]:
+def _find_blobs(shade: Float32, sigma: float) -> tuple[Floats, Floats]:
     """Return the places (N, 2) of dark blobs, pixels, and their shades (N,)."""
     answer = -DISC * sigma**2 * gaussian_laplace(shade, sigma, mode="reflect", truncate=3.5)
     highest = maximum_filter(answer, 2 * max(1, round(sigma)) + 1)
@@ -184,13 +183,13 @@ def _find_blobs(shade: Float32, sigma: float) -> tuple[Array, Array]:
     return np.asarray(places, np.float64), np.asarray(depths, np.float64)
 
 
-def _find_neighbours(places: Array) -> tuple[Array, NDArray[np.intp]]:
+def _find_neighbours(places: Floats) -> tuple[Floats, NDArray[np.intp]]:
     """Return the distance (N,) of each place from its nearest neighbour, and the neighbour's number (N,)."""
     distances, numbers = KDTree(places).query(places, k=2)
     return np.asarray(distances[:, 1]), np.asarray(numbers[:, 1])
 
 
-def _is_lattice(places: Array, shape: tuple[int, ...]) -> bool:
+def _is_lattice(places: Floats, shape: tuple[int, ...]) -> bool:
     """Return whether places (N, 2) are evenly spaced, fill the image, and mostly have opposite neighbours."""
     if len(places) < FEWEST:
         return False
@@ -204,7 +203,7 @@ def _is_lattice(places: Array, shape: tuple[int, ...]) -> bool:
     return bool((KDTree(places).query(opposite)[0] < ASIDE * spacing).mean() > REGULAR)
 
 
-def _complete_lattice(centres: Array, faint: Array) -> Array:
+def _complete_lattice(centres: Floats, faint: Floats) -> Floats:
     """Return the centres (N, 2), and those of the faint blobs (M, 2) that continue the lattice."""
     spacing = float(np.median(_find_neighbours(centres)[0]))
     while len(faint := faint[KDTree(centres).query(faint)[0] > OVERLAP * spacing]):
@@ -215,13 +214,13 @@ def _complete_lattice(centres: Array, faint: Array) -> Array:
     return centres
 
 
-def _extrapolate(centres: Array) -> Array:
+def _extrapolate(centres: Floats) -> Floats:
     """Return the places (M, 2) opposite to the nearest neighbours of the centres (N, 2) of a lattice."""
     near = KDTree(centres).query(centres, k=5)[1][:, 1:]
     return np.asarray((2 * centres[:, None] - centres[near]).reshape(-1, 2))
 
 
-def _add_border(centres: Array, radius: float, spacing: float, shape: tuple[int, ...]) -> Array:
+def _add_border(centres: Floats, radius: float, spacing: float, shape: tuple[int, ...]) -> Floats:
     """Return the centres (N, 2), and those of dots beyond the image's border that are partly in the image."""
     expected = _extrapolate(centres)
     outside = np.maximum(-expected, expected - shape[::-1]).max(axis=1)
@@ -231,7 +230,7 @@ def _add_border(centres: Array, radius: float, spacing: float, shape: tuple[int,
     return centres
 
 
-def _measure_radius(shade: Float32, centres: Array, spacing: float) -> float:
+def _measure_radius(shade: Float32, centres: Floats, spacing: float) -> float:
     """Return the distance from the dots' centres, pixels, at which their mean shade falls to TAIL of its middle."""
     away = _measure_distances(centres, shade.shape)
     flat = shade - _smooth_between(shade, away > 0.45 * spacing, spacing)
@@ -242,19 +241,19 @@ def _measure_radius(shade: Float32, centres: Array, spacing: float) -> float:
     return 0.5 * float(beyond[0] - 0.5 if len(beyond) else len(mean) - 1)
 
 
-def _smooth_between(values: Float32, seen: Mask, sigma: float) -> Float32:
+def _smooth_between(values: Float32, seen: Bools, sigma: float) -> Float32:
     """Return the Gaussian mean (H, W) of the values (H, W) at the pixels that are seen (H, W)."""
     weights = gaussian_filter(seen.astype(np.float32), sigma)
     return np.asarray(gaussian_filter(np.where(seen, values, np.float32(0)), sigma) / np.maximum(weights, 1e-6))
 
 
-def _measure_distances(centres: Array, shape: tuple[int, ...]) -> Array:
+def _measure_distances(centres: Floats, shape: tuple[int, ...]) -> Floats:
     """Return the distance (H, W) of each pixel from the nearest of the centres (N, 2), pixels."""
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
     return np.asarray(KDTree(centres).query(np.stack([x.ravel(), y.ravel()], axis=1))[0].reshape(shape))
 
 
-def match_dots(image: Image, dots: Dots) -> Array:
+def match_dots(image: Image, dots: Dots) -> Floats:
     """Return the places (N, 2) of the dots in an image (H, W, 3) of a touch, pixels.
 
     Each dot is matched with at most one dark blob within REACH, so that the moves are small. A dot without a blob
@@ -272,7 +271,7 @@ def match_dots(image: Image, dots: Dots) -> Array:
     return centres
 
 
-def mark_dots(image: Image, dots: Dots, widen: bool = False) -> Mask:
+def mark_dots(image: Image, dots: Dots, widen: bool = False) -> Bools:
     """Mark the pixels (H, W) of an image (H, W, 3) of a touch that dots darken.
 
     Dots are stretched with the surface. Therefore pixels beside a dot count if they are darker than the gel around it.
@@ -287,7 +286,7 @@ def mark_dots(image: Image, dots: Dots, widen: bool = False) -> Mask:
     return np.asarray(binary_dilation(hidden) if widen else hidden)
 
 
-def continue_values(values: Float32, hidden: Mask, bent: bool = True) -> Float32:
+def continue_values(values: Float32, hidden: Bools, bent: bool = True) -> Float32:
     """Return values (H, W, C), at hidden pixels (H, W) replaced by a surface that continues the other values.
 
     The surface is the thin plate with the least bending. If `bent` is False, it is a membrane, which has less noise.
@@ -318,7 +317,7 @@ def _make_stencils(shape: tuple[int, int], bent: bool) -> Any:
     return (laplacian @ laplacian).tocsr() if bent else laplacian
 
 
-def _enlarge(values: Float32 | Mask, image: Image | Float32) -> Any:
+def _enlarge(values: Float32 | Bools, image: Image | Float32) -> Any:
     """Return values (h, w, C) or a mask (h, w) at the size of an image (H, W, 3); a mask gets a third axis."""
     size = image.shape[1::-1]
     planes = np.atleast_3d(values)

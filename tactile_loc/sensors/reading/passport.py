@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, median_filter
 
+from tactile_loc.core.geometry.rigid import Float32, Floats
 from tactile_loc.core.runtime.errors import TouchError
-from tactile_loc.sensors.calibration.labels import Float32, Image
+from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.reading.circles import compare_colours, find_imprint
 from tactile_loc.sensors.reading.markers import UntouchedGel
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator
@@ -33,7 +34,6 @@ EQUAL_SCALES = "equal scales"  # name of a check
 MARGIN = 2.0  # least ratio of a faulty value to that of the calibration
 SMALL = 0.35  # largest radius of that touch, share of the image's shorter side
 
-Slopes = NDArray[np.float64]
 NAN = float("nan")
 
 
@@ -112,7 +112,7 @@ class Examination:
         return np.nanmedian(self.bare, axis=0).astype(np.float32)
 
     @cached_property
-    def light(self) -> NDArray[np.float64]:
+    def light(self) -> Floats:
         """The change (N, 3) of the light of each photo since the calibration, counts."""
         return np.asarray(np.nanmedian(self.bare - self.before, axis=(1, 2)), np.float64)
 
@@ -121,7 +121,7 @@ class Examination:
         """The change (H, W, 3) of the untouched gel since the calibration, counts, with median 0 in each colour."""
         return compare_colours(self.today, self.before)
 
-    def read(self, image: Float32) -> tuple[Float32, Slopes]:
+    def read(self, image: Float32) -> tuple[Float32, Floats]:
         """Return the indentation (H, W), metres, and the slopes (H, W, 2) in an image (H, W, 3), counts."""
         indentation, slopes = self.estimator.read(np.clip(np.rint(image), 0, 255).astype(np.uint8))
         return indentation, slopes.astype(np.float64)
@@ -155,7 +155,7 @@ class Examination:
         return TURNS[int(np.argmin(self.turned[1:]))]
 
     @cached_property
-    def mixing(self) -> Slopes:
+    def mixing(self) -> Floats:
         """The linear map (2, 2) from right slopes to those that are read after the turn that explains the gel best."""
         turn = self.find_turn()
         right, read = [], []
@@ -168,7 +168,7 @@ class Examination:
         return np.asarray(np.linalg.lstsq(np.concatenate(right), np.concatenate(read), rcond=None)[0])
 
     @cached_property
-    def read_today(self) -> tuple[Float32, Slopes]:
+    def read_today(self) -> tuple[Float32, Floats]:
         """The indentation (H, W), metres, and the slopes (H, W, 2) that are read in today's untouched gel."""
         return self.read(self.today)
 
@@ -179,7 +179,7 @@ def _measure_order(seen: Examination) -> float:
     return unchanged / max(min(turned), 1.0) if min(turned) < EXPLAINED else 0.0
 
 
-def _measure_light(seen: Examination) -> NDArray[np.float64]:
+def _measure_light(seen: Examination) -> Floats:
     """Return the brightness (3,) of each colour today, divided by that of the calibration."""
     now, before = (np.median(image, axis=(0, 1)).astype(np.float64) for image in (seen.today, seen.before))
     return np.asarray((now + 5) / (before + 5))
@@ -231,7 +231,7 @@ def _measure_trend(seen: Examination) -> float:
     return float(np.abs(_fit_trend(seen)).max())
 
 
-def _fit_trend(seen: Examination) -> NDArray[np.float64]:
+def _fit_trend(seen: Examination) -> Floats:
     last = len(seen.light) - 1
     return np.asarray(last * np.polyfit(np.arange(last + 1), seen.light, 1)[0])
 
@@ -269,37 +269,37 @@ class SensorCheck:
     says: str
     advice: str
     explains: bool = False
-    distort: Callable[[Examination, Slopes], Slopes] | None = None
+    distort: Callable[[Examination, Floats], Floats] | None = None
 
     def find_limit(self, seen: Examination) -> float:
         """Return the limit for this sensor: larger if the value was large at the calibration."""
         return max(self.limit, MARGIN * seen.usual.get(self.name, 0.0))
 
 
-def _turn_slopes(seen: Examination, slopes: Slopes) -> Slopes:
+def _turn_slopes(seen: Examination, slopes: Floats) -> Floats:
     turn = seen.find_turn()
     return np.asarray(slopes @ seen.mixing if turn.of_colours else turn.change(slopes), np.float64)
 
 
-def _stretch_slopes(seen: Examination, slopes: Slopes) -> Slopes:
+def _stretch_slopes(seen: Examination, slopes: Floats) -> Floats:
     """Return the slopes of a touch whose image is stretched along x about its middle."""
     stretch, width = float(np.exp(_measure_aspect(seen))), slopes.shape[1]
     columns = np.clip(np.rint((np.arange(width) - width / 2) / stretch + width / 2), 0, width - 1).astype(int)
     return np.asarray(slopes[:, columns])
 
 
-def _add_gel(seen: Examination, slopes: Slopes) -> Slopes:
+def _add_gel(seen: Examination, slopes: Floats) -> Floats:
     """Return the slopes of a touch, added to those that are read in today's untouched gel."""
     return np.asarray(slopes + seen.read_today[1])
 
 
-def _add_trend(seen: Examination, slopes: Slopes) -> Slopes:
+def _add_trend(seen: Examination, slopes: Floats) -> Floats:
     """Return the slopes of a touch in the light of the last photo."""
     after = seen.before + _fit_trend(seen).astype(np.float32)
     return np.asarray(slopes + seen.read(after)[1] - seen.read(seen.before)[1])
 
 
-def _shrink_slopes(seen: Examination, slopes: Slopes) -> Slopes:
+def _shrink_slopes(seen: Examination, slopes: Floats) -> Floats:
     return np.asarray(slopes * (1 - _measure_loss(seen)))
 
 

@@ -19,12 +19,13 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 from scipy.ndimage import gaussian_filter
 
+from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.runtime.compiled import use_one_blas_thread
 from tactile_loc.core.runtime.errors import CalibrationError, TrainingError, WeightsError
 from tactile_loc.core.runtime.options import ComponentOptions
 from tactile_loc.core.runtime.progress import Progress
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-from tactile_loc.sensors.calibration.labels import Float32, Image, PressLabel
+from tactile_loc.sensors.calibration.labels import Image, PressLabel
 from tactile_loc.sensors.reading.surface import find_indentation
 from tactile_loc.slots.options import validate_options
 

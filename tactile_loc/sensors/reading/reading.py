@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from PIL import Image as Picture
 from scipy.ndimage import binary_opening, gaussian_filter, gaussian_laplace, label
 
+from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.runtime.errors import NoContactError, TouchError, mention_source
 from tactile_loc.core.sensing.gel import RIGID, Gel
 from tactile_loc.core.sensing.gel_surface import recover_contact
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape
-from tactile_loc.sensors.calibration.labels import Float32, Image
+from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 from tactile_loc.sensors.reading.surface import differentiate, integrate
 
@@ -91,7 +92,7 @@ def require_image(
     return image
 
 
-def measure_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry, areas: float = 1.0) -> float:
+def measure_press_m(indentation_m: Float32, geometry: SensorGeometry, areas: float = 1.0) -> float:
     """Return the press depth, metres, of an indentation (H, W), metres.
 
     It is the least indentation of the deepest pixels that together cover `areas` areas of TIP_M x TIP_M.
@@ -101,7 +102,7 @@ def measure_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry
     return float(observed[-min(pixels, len(observed))])
 
 
-def extrapolate_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeometry) -> tuple[float, float]:
+def extrapolate_press_m(indentation_m: Float32, geometry: SensorGeometry) -> tuple[float, float]:
     """Return the press depth of a gel surface (H, W), metres, and the standard deviation of its error, metres.
 
     A sharp tip is narrower than the area that `measure_press_m` considers. The indentation is therefore extrapolated
@@ -114,7 +115,7 @@ def extrapolate_press_m(indentation_m: NDArray[np.float32], geometry: SensorGeom
 
 
 def find_contact_shape(
-    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, false_press_m: float = 0.0
+    indentation_m: Float32, geometry: SensorGeometry, noise_m: float, false_press_m: float = 0.0
 ) -> ContactShape:
     """Return the contact shape that an indentation (H, W), metres, shows.
 
@@ -169,7 +170,7 @@ def recover_indentation(indentation_m: Float32, slopes: Float32, geometry: Senso
 
 
 def find_gel_surface(
-    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, false_press_m: float = 0.0
+    indentation_m: Float32, geometry: SensorGeometry, noise_m: float, false_press_m: float = 0.0
 ) -> ContactShape:
     """Return the contact shape of an elastic gel, given the indentation (H, W), metres, that an image shows.
 
@@ -202,9 +203,7 @@ def read_by_laws(seen: Seen, geometry: SensorGeometry, noise_m: float, false_pre
     return replace(surface, otherwise=tuple(otherwise))
 
 
-def _require_press(
-    indentation_m: NDArray[np.float32], geometry: SensorGeometry, noise_m: float, false_press_m: float
-) -> float:
+def _require_press(indentation_m: Float32, geometry: SensorGeometry, noise_m: float, false_press_m: float) -> float:
     """Return the press depth, metres. Raises NoContactError if it is below the detection limit."""
     press = measure_press_m(indentation_m, geometry)
     least = max(LEAST_M, ABOVE_NOISE * noise_m, min(ABOVE_FALSE * false_press_m, MOST_FALSE_M))
@@ -216,7 +215,7 @@ def _require_press(
     return min(press, geometry.max_depth_m)
 
 
-def find_contact(indentation_m: NDArray[np.float32], press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:
+def find_contact(indentation_m: Float32, press_m: float, geometry: SensorGeometry) -> NDArray[np.bool_]:
     """Mark the pixels (H, W) of an indentation (H, W), metres, at which the gel touches the object.
 
     At the rim of a contact, the gel is bent around the object. The skirt is steep, and it is straight or bent the

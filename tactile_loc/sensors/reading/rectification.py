@@ -13,6 +13,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
+from tactile_loc.core.geometry.rigid import Floats
 from tactile_loc.core.runtime.errors import ConfigError, SensorError
 from tactile_loc.core.sensing.photo_map import (
     Corner,
@@ -27,8 +28,6 @@ from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.sensors.calibration.labels import Image
 from tactile_loc.sensors.reading.circles import Circle, compare_colours, thin
 from tactile_loc.sensors.reading.markers import Dots, UntouchedGel
-
-Array = NDArray[np.float64]
 
 STANDOFF_M, DEEPEST_M = 10e-3, 1.5e-3  # assumed for a sensor of which only the view is known
 LEAST_MIDDLE = 0.2  # least distance of the optical axis from the border of the photo, share of its side
@@ -162,7 +161,7 @@ def _find_stretches(image: Image, circle: Circle, untouched: Image) -> list[floa
     return [_find_stretch(change, circle, band) for band in BANDS]
 
 
-def _find_stretch(change: NDArray[np.float32], circle: Circle, band: Array) -> float:
+def _find_stretch(change: NDArray[np.float32], circle: Circle, band: Floats) -> float:
     best, step = 0.0, LARGEST / 4
     tried = np.arange(-4, 5) * step
     for _ in range(3):
@@ -178,7 +177,7 @@ def _find_stretch(change: NDArray[np.float32], circle: Circle, band: Array) -> f
     return best
 
 
-def _compare_profiles(change: NDArray[np.float32], circle: Circle, band: Array, log_ratio: float) -> float:
+def _compare_profiles(change: NDArray[np.float32], circle: Circle, band: Floats, log_ratio: float) -> float:
     """Return how alike (0 to 1) the odd profiles in a band are in all directions if the imprint is stretched."""
     cos, sin = np.cos(TURNS), np.sin(TURNS)
     reach = circle.radius_px / np.hypot(cos * np.exp(-log_ratio / 2), sin * np.exp(log_ratio / 2))
@@ -205,7 +204,7 @@ class Lattice:
     distance of the dots from their places, in spacings.
     """
 
-    homography: Array
+    homography: Floats
     lens: Lens
     off: float
 
@@ -236,7 +235,7 @@ def fit_lattice(dots: Dots, photo_px: tuple[int, int]) -> Lattice | None:
         return None
     first = np.linalg.lstsq(terms, places, rcond=None)[0].T.ravel()
 
-    def miss(values: Array) -> Array:
+    def miss(values: Floats) -> Floats:
         ideal = apply_homography(np.append(values[:8], 1.0).reshape(3, 3), numbers)
         seen = Lens(1.0, 1.0, 0.0, 0.0, tuple(values[8:])).distort(ideal)
         return np.asarray((seen - places).ravel())
@@ -252,7 +251,7 @@ def fit_lattice(dots: Dots, photo_px: tuple[int, int]) -> Lattice | None:
     return Lattice(to_px @ np.append(fit.x[:8], 1.0).reshape(3, 3), lens, off)
 
 
-def _number_dots(centres: Array) -> tuple[Array, NDArray[np.intp]]:
+def _number_dots(centres: Floats) -> tuple[Floats, NDArray[np.intp]]:
     """Return the numbers (M, 2) along both sides of the lattice of some of the centres (N, 2), and their indices (M,).
 
     The numbers are counted from dot to dot, from the middle outwards. x is the side nearer to that of the photo.

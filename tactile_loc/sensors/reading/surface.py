@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, label
 
+from tactile_loc.core.geometry.rigid import Float32
 from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
-
-Float32 = NDArray[np.float32]
 
 ROUNDS = 3
 DRIFT_M = 2.5e-3  # standard deviation of the Gaussian that smooths the drift
