@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from tactile_loc.sensors.calibration.folder import PICTURE
 from tactile_loc.sensors.calibration.layouts import SHEET
 from tactile_loc.sensors.calibration.outcome import CalibrationOutcome
-from tactile_loc.sensors.calibration.presses import PressFolder
 from tactile_loc.sensors.calibration.unlabelled import FoundPress, FoundPresses
 from tactile_loc.sensors.reading.circles import compare_colours
-from tactile_loc.sensors.reading.photometric import PhotometricEstimator
 from tactile_loc.sensors.reading.reading import read_gel
 from tactile_loc.view.pictures import add_panels, compute_extent_mm, make_figure, save_figure
 
@@ -34,26 +32,25 @@ LONGEST = 30  # characters of a name
 
 def save_held_out(folder: Path, outcome: CalibrationOutcome) -> Path:
     """Draw the held-out presses of a calibration into its folder, and return the picture's path. Raises OutputError."""
-    figure = draw_held_out(outcome.estimator, outcome.presses, outcome.held_out, outcome.title)
-    return save_figure(folder / PICTURE, figure)
+    return save_figure(folder / PICTURE, draw_held_out(outcome))
 
 
 def save_labels(folder: Path, found: FoundPresses) -> Path:
     """Draw the circles found in the images of a folder into it, and return the picture's path. Raises OutputError."""
-    return save_figure(folder / SHEET, draw_labels(found, found.title))
+    return save_figure(folder / SHEET, draw_labels(found))
 
 
-def draw_held_out(estimator: PhotometricEstimator, presses: PressFolder, numbers: Sequence[int], title: str) -> Figure:
-    """Draw a row for each of at most `MOST` presses, given by their `numbers`.
+def draw_held_out(outcome: CalibrationOutcome) -> Figure:
+    """Draw a row for each of at most `MOST` held-out presses.
 
     A row shows the image, the known and the estimated indentation, and the profiles of both along x through the deepest
     estimated point.
     """
-    shown = list(numbers)[:MOST]
-    figure = make_figure(13.5, 2.9 * len(shown) + 0.6, constrained=True, title=title)
+    shown = outcome.held_out[:MOST]
+    figure = make_figure(13.5, 2.9 * len(shown) + 0.6, constrained=True, title=outcome.title)
     rows: NDArray[Any] = figure.subplots(len(shown), 4, squeeze=False)
     for row, number in zip(rows, shown, strict=True):
-        _draw_reading(figure, row, estimator, presses, number)
+        _draw_reading(figure, row, outcome, number)
     for axes, name in zip(rows[0, 1:], READ_PANELS, strict=True):
         axes.set_title(name, size=10)
     return figure
@@ -63,16 +60,15 @@ def draw_reading(outcome: CalibrationOutcome, number: int) -> Figure:
     """Draw one press, given by its number, in the width of a narrow page: the panels of `draw_held_out`."""
     figure = make_figure(6.2, 5.2, constrained=True)
     panels = list(figure.subplots(2, 2).flat)
-    _draw_reading(figure, panels, outcome.estimator, outcome.presses, number)
+    _draw_reading(figure, panels, outcome, number)
     for axes, name in zip(panels[1:], READ_PANELS, strict=True):
         axes.set_title(name, size=10)
     return figure
 
 
-def _draw_reading(
-    figure: Figure, panels: Sequence[Axes], estimator: PhotometricEstimator, presses: PressFolder, number: int
-) -> None:
+def _draw_reading(figure: Figure, panels: Sequence[Axes], outcome: CalibrationOutcome, number: int) -> None:
     """Draw a press into four panels: the image, the known and the estimated indentation, and their profiles."""
+    estimator, presses = outcome.estimator, outcome.presses
     extent = compute_extent_mm(estimator.geometry)
     image, label = presses.read_press(number)
     found_mm = 1e3 * read_gel(estimator, image, estimator.geometry.gel).indentation_m
@@ -100,7 +96,7 @@ def _draw_profile(axes: Any, found_mm: Any, known_mm: Any, known: Any, extent: S
     axes.legend(frameon=False, fontsize=8)
 
 
-def draw_labels(found: FoundPresses, title: str) -> Figure:
+def draw_labels(found: FoundPresses) -> Figure:
     """Draw the image of the untouched gel, and the amplified difference of each press from this image.
 
     The tile of a press shows its circle, name and radius. The tile of a dropped press has a red frame, and states the
@@ -111,7 +107,7 @@ def draw_labels(found: FoundPresses, title: str) -> Figure:
     height, width = found.untouched.shape[:2]
     rows, tile = -(-count // columns), TILE_INCH * height / width
     wide, high = TILE_INCH * columns + 0.2, (tile + NAMED_INCH) * rows + 0.5
-    figure = make_figure(wide, high, title=title)
+    figure = make_figure(wide, high, title=found.title)
     gaps = {"wspace": 0.05, "hspace": NAMED_INCH / tile}
     borders = {"left": 0.1 / wide, "right": 1 - 0.1 / wide, "bottom": 0.1 / high, "top": 1 - (0.4 + NAMED_INCH) / high}
     tiles: list[Any] = list(add_panels(figure, count, columns, gridspec_kw={**borders, **gaps}).flat)

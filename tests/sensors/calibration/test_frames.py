@@ -135,7 +135,7 @@ def test_images_without_a_ball_of_a_ball_larger_than_the_image_and_too_few_image
 
 
 def test_the_sheet_shows_every_press(with_bad_ones):
-    figure = draw_labels(with_bad_ones, "all")
+    figure = draw_labels(with_bad_ones)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[0].endswith("\n08.png")
     assert sum("radius" in title for title in titles) == len(PRESSES)
