@@ -173,18 +173,20 @@ def locate_press(localizer: Localizer, touch: Touch, photo: Photo, turn_rad: flo
     tip = Tolerance(RIGHT_M, tip_m=(float(centre_m[0]), float(centre_m[1]), float(centre_m[2])))
     config = localizer.config.model_copy(update={"tolerance": tip})
     own = Localizer(config, localizer.object, localizer.store)
-    found = own.localize(touch, prior, top=1, starts=starts, searches=False)
-    T = found.hypotheses[0].T_sensor_object
+    found = own.localize(touch, prior, top=len(starts), starts=starts, searches=False)
+    for hypothesis in found.hypotheses:  # one that was not refined is the start, which only just touches the gel
+        T = hypothesis.T_sensor_object
+        if (surfaces := compare_surfaces(own.scene.match_touch(touch), touch, T)) is not None:
+            break
+    else:
+        raise TestObjectError(
+            f"{photo.path}: the object hardly touches the gel at the poses that were found; press deeper, or check the "
+            "number of the photo"
+        )
     moved = T @ invert(nominal)
     at = nominal[:3, :3] @ centre_m + nominal[:3, 3]
     shift_m = (moved[:3, :3] @ at + moved[:3, 3] - at)[:2]
     turned = float(np.arctan2(moved[1, 0] - moved[0, 1], moved[0, 0] + moved[1, 1]))
-    surfaces = compare_surfaces(own.scene.match_touch(touch), touch, T)
-    if surfaces is None:
-        raise TestObjectError(
-            f"{photo.path}: the object hardly touches the gel at the pose that was found; press deeper, or check the "
-            "number of the photo"
-        )
     return ScoredPress(photo, "", shift_m, turned, str(found.verdict), surfaces)
 
 
