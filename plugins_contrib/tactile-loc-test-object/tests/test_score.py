@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -145,6 +146,16 @@ def test_a_photo_without_a_pose_is_refused(localizer, monkeypatch):
     monkeypatch.setattr(scoring, "compare_surfaces", lambda *_: None)
     with pytest.raises(TestObjectError, match=r"^1\.png: "):
         press(localizer, PLACES[0])
+
+
+def test_a_start_that_was_not_refined_is_passed_over(localizer, monkeypatch):
+    start = find_nominal_pose(PLACES[0], localizer.sensor.geometry)
+    poses = (start, make_translation([*MIDDLE_M, -PRESS_M]) @ start)
+    found = SimpleNamespace(hypotheses=[SimpleNamespace(T_sensor_object=T) for T in poses], verdict="ambiguous")
+    monkeypatch.setattr(Localizer, "localize", lambda *_, **__: found)
+    one = press(localizer, PLACES[0], MIDDLE_M)
+    np.testing.assert_allclose(one.shift_m, MIDDLE_M, atol=1e-9)
+    assert one.surfaces.error_m < 2e-5
 
 
 def test_photos_are_found_by_their_numbers(tmp_path):
