@@ -142,6 +142,10 @@ class Visitor:
         self._send_mouse("mouseReleased", end, 0)
         return moves
 
+    def leave_controls(self) -> None:
+        """Move the mouse to a corner of the view, so that no hint covers the controls."""
+        self._send_mouse("mouseMoved", np.ones(2), 0)
+
     def _send_mouse(self, kind: str, at: NDArray[np.float64], pressed: int) -> None:
         event = {"type": kind, "x": float(at[0]), "y": float(at[1]), "button": "left", "buttons": pressed}
         self.browser.execute_cdp_cmd("Input.dispatchMouseEvent", {**event, "clickCount": 1})
@@ -338,6 +342,7 @@ def visit(store: StageStore, pictures: Path | None, shots: Path | None) -> None:
             if pictures is not None:
                 wait_until(lambda: not page.calibration.start.disabled, "the reading is not drawn")
                 visitor.scroll_to("Download the sensor")
+                visitor.leave_controls()
                 visitor.close_notifications()
                 visitor.browser.save_screenshot(str(pictures / "app-calibration.png"))
             visitor.click("Use this sensor")

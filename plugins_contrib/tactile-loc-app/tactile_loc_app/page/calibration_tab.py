@@ -111,8 +111,8 @@ class CalibrationTab:
             self.facts = Paragraph(self.client, visible=False)
             self.circle_of = gui.add_slider("Photo", 1, 2, 1, 1, visible=False)
             self.circle = gui.add_image(EMPTY, label="The ball's circle in this photo", visible=False)
-            self.reading_of = gui.add_slider("Held-out photo", 1, 2, 1, 1, visible=False)
-            self.reading = gui.add_image(EMPTY, label="What the sensor reads in this photo", visible=False)
+            hint = "The picture over the view shows how the sensor reads it."
+            self.reading_of = gui.add_slider("Held-out photo", 1, 2, 1, 1, hint=hint, visible=False)
             self.use = gui.add_button("Use this sensor", color="blue", visible=False)
             self.download = gui.add_button("Download the sensor", visible=False)
         self.start.on_click(self._notices.guard(self._calibrate))
@@ -143,7 +143,7 @@ class CalibrationTab:
         for slider, count in ((self.circle_of, circles), (self.reading_of, len(made.outcome.held_out))):
             slider.max, slider.value, slider.visible = max(count, 2), 1, count > 1
         self.circle.visible = circles > 0
-        for handle in (self.facts, self.reading, self.use, self.download):
+        for handle in (self.facts, self.use, self.download):
             handle.visible = True
         self._show_circle()
         self._show_reading()
@@ -157,9 +157,7 @@ class CalibrationTab:
     def _show_reading(self) -> None:
         outcome = self._require_made().outcome
         number = outcome.held_out[min(int(self.reading_of.value), len(outcome.held_out)) - 1]
-        figure = draw_reading(outcome, number)
-        self.reading.image = render_figure(figure)
-        self.cover.show(figure)
+        self.cover.show(draw_reading(outcome, number))
 
     def _use_sensor(self) -> None:
         self._use(self._require_made())
