@@ -27,8 +27,6 @@ MEANINGS = {  # what a stage makes, for messages
     "temperature": "fit of the probabilities",
     "evaluation": "evaluated touches",
     "contact-evaluation": "evaluated sets of touches",
-    "touch-errors": "further errors of evaluated touches",
-    "touch-judgement": "judged touches",
     "recall-evaluation": "evaluated examples",
     "calibration": "training of a calibration",
 }
