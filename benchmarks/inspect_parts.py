@@ -8,9 +8,11 @@ drawn by ray casting, which the inspection does not use. Given poses have errors
 axis.
 
 The first table has the share of parts with a reported difference within 3 mm of the planted one, and the clean parts
-with any reported difference. The second one has the pose errors that the differences cause, with clean readings: the
-largest displacement of a surface point (median, 90 %) by a fit that starts at the true pose. The limits were
-chosen on other parts. An interrupted run continues with the next part.
+with any reported difference. The second one compares the reported heights with the true ones. The third one has the
+pose errors that the differences cause, with clean readings: the largest displacement of a surface point (median, 90 %)
+by a fit that starts at the true pose. The last one checks the height x that clean inspections state: a burr or a dent
+of this height is planted at a random touched place, and the same sensor poses touch again. The limits were chosen on
+other parts. An interrupted run continues with the next part.
 """
 
 import contextlib
@@ -32,6 +34,7 @@ from tactile_loc import ObjectModel, RobotTouches, Touch, make_noise
 from tactile_loc.core.runtime.errors import TactileLocError, TouchError
 from tactile_loc.core.sensing.gel import Gel
 from tactile_loc.evaluation.jobs import JobOutcome, QueuedJob, do_job, resume_jobs
+from tactile_loc.evaluation.summary import compute_wilson_range
 from tactile_loc.plugin import Scene, View, registry
 from tactile_loc.plugin.helpers import exponential, invert
 
@@ -42,7 +45,8 @@ NAMES = (
     "00187_socket 00486_plug 00731_socket 00296_plug 00514_socket 00652_plug 00103_plug 00016_socket 01053_plug "
     "00014_plug 00345_plug 00437_plug"
 )
-TOUCHES, DRAWS, SEED, NEAR_M, GEL, VERSION = 3, 60, 5, 3e-3, Gel(4e-3), 2  # increase VERSION if results change
+TOUCHES, DRAWS, SEED, NEAR_M, GEL, VERSION = 3, 60, 5, 3e-3, Gel(4e-3), 3  # increase VERSION if results change
+STATED, FACTORS = 4, (0.7, 1.0, 1.3)  # clean inspections of each part whose stated height is checked, and its shares
 TILT_RAD, ASIDE_M, PRESS, POSE_STD = 0.05, 6e-4, (0.4, 0.8), np.array([3.5e-3] * 3 + [1e-4] * 3)
 
 
@@ -88,31 +92,66 @@ class Presser:
 open_presser = functools.cache(Presser)
 
 
-def inspect(presser: Presser, part: ObjectModel, known: ObjectModel, spot: Spot, seed: Sequence[int]) -> dict[str, Any]:
-    """Press a part, inspect it with the model `known`, and return what is found. Raises TouchError without touches."""
-    rng, mine = np.random.default_rng(seed), registry().create("renderer", "heightmap", {})
-    drawn = (presser.press(part, spot, rng) for _ in range(DRAWS))
-    touches = list(itertools.islice((one for one in drawn if one is not None), TOUCHES))
+def inspect(
+    presser: Presser, part: ObjectModel, known: ObjectModel, spot: Spot, seed: Sequence[int]
+) -> tuple[inspection.Inspection, list[View]]:
+    """Press a part at a spot, and inspect it with the model `known`. Raises TouchError without touches."""
+    pressed = (presser.press(part, spot, np.random.default_rng([*seed, number])) for number in range(DRAWS))
+    touches = list(itertools.islice((one for one in pressed if one is not None), TOUCHES))
     if len(touches) < TOUCHES:
         raise TouchError("the place cannot be touched")
+    mine, rng = registry().create("renderer", "heightmap", {}), np.random.default_rng(seed)
     views = [View(one, Scene(known, one.geometry, mine)) for one in touches]
-    true = [np.asarray(one.T_sensor_object) for one in touches]
     errors = exponential(POSE_STD * rng.normal(size=(TOUCHES, 6)), presser.geometry.gel_middle_m)
-    found, moved_m = inspection.inspect_part(views, list(errors @ np.stack(true))), {}
-    near = [one for one in found.differences if np.linalg.norm(one.point_m - spot.point_m) < NEAR_M]
-    if part is not known and presser.geometry.gel == Gel() and not presser.noise.misplaces:
-        fits = {"plain": [comparison.fit_plain_pose(view, T) for view, T in zip(views, true, strict=True)]}
-        fits["robust"] = [one.T for one in comparison.compare_touches(views, true)]
-        motion = functools.partial(inspection.measure_motion, known)
-        moved_m = {name: max(map(motion, true, some)) for name, some in fits.items()}
+    return inspection.inspect_part(views, list(errors @ list_true(views))), views
+
+
+def list_true(views: Sequence[View]) -> np.ndarray:
+    """Return the true poses (N, 4, 4), metres, in the frame of each touch's sensor."""
+    return np.stack([np.asarray(view.touch.T_sensor_object) for view in views])
+
+
+def describe(found: inspection.Inspection, point_m: np.ndarray) -> dict[str, Any]:
+    """Return what an inspection found, and what it found near a point (3,), metres."""
+    near = [one for one in found.differences if np.linalg.norm(one.point_m - point_m) < NEAR_M]
     height = [abs(near[0].height_m), near[0].std_m] if near and not near[0].at_least else None
     row = {"found": len(found.differences), "near": len(near), "detectable_m": min(found.detectable_m, 1.0)}
-    return {**row, "height": height, "moved_m": moved_m}
+    return {**row, "height": height, "moved_m": {}}
+
+
+def measure_moved(views: Sequence[View], known: ObjectModel) -> dict[str, float]:
+    """Return the largest displacement, metres, by both fits of the pose that start at the true poses."""
+    true = list_true(views)
+    fits = {"plain": [comparison.fit_plain_pose(view, T) for view, T in zip(views, true, strict=True)]}
+    fits["robust"] = [one.T for one in comparison.compare_touches(views, list(true))]
+    return {
+        name: max(map(functools.partial(inspection.measure_motion, known), true, some)) for name, some in fits.items()
+    }
+
+
+def check_stated(
+    presser: Presser, obj: ObjectModel, spot: Spot, seed: Sequence[int], clean: inspection.Inspection
+) -> Iterator[dict[str, Any]]:
+    """Inspect parts with a burr or a dent at a random place that a clean inspection touched, as high as it stated."""
+    found, rng = clean.map, np.random.default_rng(seed)
+    weights = found.areas_m2 * np.isfinite(inspection.state_heights(found, clean.limits))
+    place = rng.choice(len(weights), p=weights / weights.sum())
+    normal = found.normals[place] / np.linalg.norm(found.normals[place])
+    along = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    where = Spot(found.points_m[place], normal, along / np.linalg.norm(along))
+    for kind, factor in itertools.product(KINDS[:2], FACTORS):
+        with contextlib.suppress(TouchError):
+            part, known = alter(obj, kind, 1e3 * factor * clean.detectable_m, where)
+            again, _ = inspect(presser, part, known, spot, seed)
+            yield {"kind": f"stated {kind}", "size_mm": factor, **describe(again, where.point_m)}
 
 
 @dataclass(frozen=True)
 class PartJob:
-    """Cases of one part with one kind of reading: clean presses or, if their number is 0, each difference once."""
+    """Cases of one part with one kind of reading: clean presses or, if their number is 0, each difference once.
+
+    The first STATED clean presses are repeated with differences as high as stated.
+    """
 
     key: str
     store: Path
@@ -121,20 +160,28 @@ class PartJob:
 
     def measure(self, obj: ObjectModel, _: Any) -> dict[str, Any]:
         """Return a row for each case."""
-        presser, rows = open_presser(self.reading, self.store), []
+        presser = open_presser(self.reading, self.store)
         cases = [("clean", 0.0, n) for n in range(self.clean)]
         cases = cases or [(*one, 100 + n) for n, one in enumerate(itertools.product(KINDS, READINGS[self.reading]))]
-        for (kind, size, number), tried in itertools.product(cases, range(DRAWS)):
-            if rows and rows[-1]["number"] == number:
-                continue
+        return {"rows": [row for case in cases for row in self.measure_case(presser, obj, *case)]}
+
+    def measure_case(
+        self, presser: Presser, obj: ObjectModel, kind: str, size: float, number: int
+    ) -> list[dict[str, Any]]:
+        """Return the rows of a case, at the first random spot that can be touched; none if there is none."""
+        for tried in range(DRAWS):
             seed = [SEED, number, tried, int.from_bytes(obj.name.encode()[:4])]
             spot = Spot.draw(obj, rng := np.random.default_rng(seed), kind == "worn edge")
             with contextlib.suppress(TouchError):
                 if presser.press(obj, spot, rng) is not None:
                     part, known = alter(obj, kind, size, spot) if size else (obj, obj)
-                    row = inspect(presser, part, known, spot, seed)
-                    rows.append({"kind": kind, "size_mm": size, "number": number, **row})
-        return {"rows": rows}
+                    found, views = inspect(presser, part, known, spot, seed)
+                    row = {"kind": kind, "size_mm": size, **describe(found, spot.point_m)}
+                    if size and self.reading == "clean":
+                        row["moved_m"] = measure_moved(views, known)
+                    stated = not size and number < STATED and found.verdict == "as the model"
+                    return [row, *(check_stated(presser, obj, spot, seed, found) if stated else ())]
+        return []
 
 
 class Here:
@@ -145,6 +192,14 @@ class Here:
         yield from (do_job(job, subjects[job.key]) for job in jobs)
 
 
+def write_share(found: Sequence[bool]) -> str:
+    """Return the share of the differences found, and its 95 % confidence interval."""
+    if not found:
+        return ""
+    low, high = compute_wilson_range(sum(found), len(found))
+    return f"{100 * np.mean(found):.0f} % ({100 * low:.0f} to {100 * high:.0f}) of {len(found)}"
+
+
 def report(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the tables."""
     print(write_head("reading", "difference", *(f"{size} mm" for size in SIZES_MM), "inspections"))
@@ -153,6 +208,8 @@ def report(rows: Sequence[Mapping[str, Any]]) -> None:
             kind: [row for row in some if row["kind"] == kind] for some in [list(of)] for kind in ("clean", *KINDS)
         }
         for kind, some in by_kind.items():
+            if not some:
+                continue
             each = [[row["near"] > 0 for row in some if row["size_mm"] == size] for size in SIZES_MM]
             cells = [f"{100 * np.mean(one):.0f} %" if one else "" for one in each]
             if kind == "clean":
@@ -174,6 +231,13 @@ def report(rows: Sequence[Mapping[str, Any]]) -> None:
         ]
         cells = [f"{np.median(one):.2f}, {np.quantile(one, 0.9):.2f}" if one else "" for one in each]
         print(f"| {words} | {' | '.join(cells)} |")
+    if not any(row["kind"].startswith("stated") for row in rows):
+        return
+    print("\n" + write_head("reading", "difference", *(f"{factor} x" for factor in FACTORS)))
+    for reading, kind in itertools.product(dict.fromkeys(row["reading"] for row in rows), KINDS[:2]):
+        some = [row for row in rows if (row["reading"], row["kind"]) == (reading, f"stated {kind}")]
+        each = [[row["near"] > 0 for row in some if row["size_mm"] == factor] for factor in FACTORS]
+        print(f"| {reading} | {kind} | {' | '.join(map(write_share, each))} |")
 
 
 def main() -> None:

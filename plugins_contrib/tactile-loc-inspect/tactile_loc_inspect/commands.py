@@ -146,7 +146,11 @@ def make_inspection_page(found: Inspection, located: Localization, picture: Path
     numbers = [
         ("verdict", found.verdict, "only for the touched surface"),
         ("touched", f"{100 * found.touched:.1f} %", "of the surface"),
-        ("detectable", f"{1e3 * found.detectable_m:.2f} mm", "height found with 95 % probability where touched"),
+        (
+            "detectable",
+            f"{1e3 * found.detectable_m:.2f} mm",
+            "height found with 95 % probability where touched; less often with noise",
+        ),
         ("pose moved", f"{1e3 * found.moved_m:.2f} mm", "by the differences, without this inspection"),
     ]
     sizes = ("height (mm)", "+- (mm)", "x (mm)", "y (mm)", "z (mm)", "width (mm)")

@@ -62,10 +62,10 @@ class Comparison:
     """A touch beside the model at the refined pose `T` (4, 4), in the frame of the touch's sensor.
 
     `edge_std_m` and `pose_std_m` (H, W) are the standard deviations of a difference that come from edges and from the
-    pose. `points_m` and `normals` (H, W, 3) are the model's surface in the object's frame. `cosines` (H, W) are those
-    of the angles between the sensor's axis and the normals. `noise_m` is the noise of the reading where the surface is
-    flat, and `blur_m` the sensor's blur. `misfit_m` is the mean absolute difference in contact, in which large ones
-    count as NEAR_M. All lengths are metres.
+    pose. The model presses the gel by `pressed_m` (H, W). `points_m` and `normals` (H, W, 3) are the model's surface in
+    the object's frame. `cosines` (H, W) are those of the angles between the sensor's axis and the normals. `noise_m` is
+    the noise of the reading where the surface is flat, and `blur_m` the sensor's blur. `misfit_m` is the mean absolute
+    difference in contact, in which large ones count as NEAR_M. All lengths are metres.
     """
 
     geometry: SensorGeometry
@@ -73,6 +73,7 @@ class Comparison:
     differences: Differences
     edge_std_m: Floats
     pose_std_m: Floats
+    pressed_m: Floats
     points_m: Floats
     normals: Floats
     cosines: Floats
@@ -230,6 +231,7 @@ def _compare(image: TouchImage, fitted: FittedPose) -> Comparison:
         found,
         EDGE * rough_m,
         np.sqrt(np.maximum(variance, 0)),
+        image.cut_m - fitted.model_m,
         points_m,
         normals,
         cosines,

@@ -20,7 +20,8 @@ MOST = 8  # differences that are listed
 APART = 1.5  # widths of a difference within which no other one is listed
 NOISY_M = 8e-6  # a noisier reading may show contact that is not there, or miss contact, in one touch
 FOUND_SHARE = 1.645  # standard deviations above the limit at which 95 % are found
-STATED_SIZE = 2  # index in SIZES_M of the differences for which the verdict states a height
+STATED_WIDTH_M = 1.13e-3  # at half the height, of the differences for which the verdict states a height
+MARGIN = 1.15  # of the stated height, because touches must also show a difference alone
 FAR_M = 1e-3  # a refinement that moves the surface farther is reported
 MOSTLY = 0.4  # share of differing places from which the pose is in doubt
 BETTER = 0.7  # another pose explains the touches better if it leaves this share of the misfit
@@ -134,6 +135,8 @@ class Inspection:
         notes = []
         if self.moved_m > 0:
             notes.append(f"the differences move an ordinary pose by up to {1e3 * self.moved_m:.2f} mm")
+        if self.limits is NOISY and self.verdict == "as the model":
+            notes.append("the reading has noise, so a difference of the stated height is found less often than in 95 %")
         if self.refined_m > FAR_M:
             notes.append(
                 f"the touches fit best at a pose {1e3 * self.refined_m:.1f} mm from the given one; check the pose"
@@ -172,7 +175,7 @@ class Inspection:
         where = f"; the touches show {100 * self.touched:.1f} % of the surface"
         if self.better is not None:
             return f"pose {self.better} explains the touches better, so no difference is reported{where}"
-        width = 1e3 * WIDTH * SIZES_M[STATED_SIZE]
+        width = 1e3 * STATED_WIDTH_M
         if self.verdict == "not enough touches":
             if self.limits.touches == 1:
                 return f"not enough touches: no contact is wide enough to find differences {width:.1f} mm wide"
@@ -193,14 +196,13 @@ def inspect_part(
 
     `others` are further poses by their numbers, each in the frames of all touches, that may explain the touches better.
     """
-    comparisons = tuple(compare_touches(views, poses))
-    found, obj = map_differences(comparisons), views[0].scene.object
-    pairs = list(zip(views, comparisons, strict=True))
+    comparisons, obj = tuple(compare_touches(views, poses)), views[0].scene.object
+    found, pairs = map_differences(comparisons), list(zip(views, comparisons, strict=True))
     limits = NOISY if comparisons[0].blur_m or np.median([one.noise_m for one in comparisons]) > NOISY_M else EXACT
     listed = list_differences(found, limits)
     enough = [one for one in listed if limits.are_met(one)]
-    shown = np.isfinite(found.std_m[STATED_SIZE]) & (found.touches >= limits.touches)
-    std = found.std_m[STATED_SIZE][shown]
+    stated_m = state_heights(found, limits)
+    shown = np.isfinite(stated_m)
     return Inspection(
         obj,
         comparisons,
@@ -208,7 +210,7 @@ def inspect_part(
         limits,
         tuple(enough),
         tuple(one for one in listed if not limits.are_met(one)),
-        (limits.ratio + FOUND_SHARE) * float(np.quantile(std, 0.95)) if len(std) else np.inf,
+        float(np.quantile(stated_m[shown], 0.95)) if shown.any() else np.inf,
         min(1.0, float(found.areas_m2[shown].sum() / obj.mesh.face_areas.sum())),
         max(measure_motion(obj, fit_plain_pose(view, one.T), one.T) for view, one in pairs) if enough else 0.0,
         max(measure_motion(obj, T, one.T) for T, one in zip(poses, comparisons, strict=True)),
@@ -216,6 +218,21 @@ def inspect_part(
         any(view.touch.image is not None for view in views),
         find_better(views, comparisons, others or {}),
     )
+
+
+def state_heights(found: SurfaceMap, limits: Limits) -> Floats:
+    """Return the heights (N,), metres, of STATED_WIDTH_M wide differences that would be found with 95 % at each place.
+
+    A blob's mean is lower than the peak of a difference, so each place counts by its best size of blobs. The height is
+    infinite where too few touches press the place deeper than this height: there, a dent would leave the gel.
+    """
+    stated = (STATED_WIDTH_M / WIDTH) ** 2
+    shares = stated / (stated + np.square(SIZES_M))
+    heights_m = MARGIN * ((limits.ratio + FOUND_SHARE) * found.std_m / shares[:, None]).min(axis=0)
+    count = max(limits.touches, min(limits.bounds, len(found.pressed_m)))
+    if count > len(found.pressed_m):
+        return np.full(len(heights_m), np.inf)
+    return np.where(np.sort(found.pressed_m, axis=0)[-count] > heights_m, heights_m, np.inf)
 
 
 def list_differences(found: SurfaceMap, limits: Limits) -> list[Difference]:

@@ -35,7 +35,8 @@ class SurfaceMap:
     for. For K sizes of blobs, `heights_m` (K, N) are heights along the normal, positive for material that the model
     lacks, and `std_m` (K, N) their standard deviations, infinite where no touch shows such a blob. `support` (K, N)
     counts the touches that alone show the difference, `against` (K, N) those that alone show the opposite, and
-    `touches` (N,) those that show the place.
+    `touches` (N,) those that show the place. Of T touches, each presses the place by `pressed_m` (T, N) metres, or by
+    -inf if it does not show the place.
     """
 
     points_m: Floats
@@ -47,6 +48,7 @@ class SurfaceMap:
     against: NDArray[np.int64]
     touches: NDArray[np.int64]
     bounds: Bools
+    pressed_m: Floats
 
     @property
     def ratios(self) -> Floats:
@@ -64,12 +66,14 @@ def map_differences(comparisons: Sequence[Comparison]) -> SurfaceMap:
     points, normals = points[first], normals[first]
     shape = (len(comparisons), len(SIZES_M), len(points))
     heights, variances, bounds = np.zeros(shape), np.full(shape, np.inf), np.zeros(len(points), bool)
+    pressed_m = np.full((len(comparisons), len(points)), -np.inf)
     for k, one in enumerate(comparisons):
         rows, columns, shown = _project(one, points, normals)
         for size, sigma_m in enumerate(SIZES_M):
             height, variance = filter_differences(one, sigma_m)
             heights[k, size, shown] = height[rows, columns][shown]
             variances[k, size, shown] = variance[rows, columns][shown]
+        pressed_m[k, shown] = one.pressed_m[rows, columns][shown]
         found = one.differences
         bounds[shown] |= (found.missed | found.extra)[rows, columns][shown]
     weights = 1 / variances
@@ -88,6 +92,7 @@ def map_differences(comparisons: Sequence[Comparison]) -> SurfaceMap:
         (alone < -AGREE).sum(axis=0),
         np.isfinite(variances[:, 1]).sum(axis=0),
         bounds,
+        pressed_m,
     )
 
 

@@ -8,7 +8,14 @@ from inspect_helpers import TOP_M, make_burr, make_plate, misplace, press
 from tactile_loc.plugin.helpers import make_translation
 
 from tactile_loc_inspect.comparison import compare_touches, fit_plain_pose
-from tactile_loc_inspect.inspection import InspectionError, inspect_localization, inspect_part
+from tactile_loc_inspect.inspection import (
+    EXACT,
+    NOISY,
+    InspectionError,
+    inspect_localization,
+    inspect_part,
+    state_heights,
+)
 from tactile_loc_inspect.scan import map_differences
 
 
@@ -18,6 +25,34 @@ def test_a_clean_part_is_as_the_model(clean_views):
     assert found.differences == ()
     assert 0 < found.detectable_m < 5e-4
     assert 0.005 < found.touched < 0.2
+
+
+def test_places_that_are_pressed_less_than_the_stated_height_do_not_count(clean_views):
+    found = inspect_part(clean_views, misplace(clean_views)).map
+    heights_m = state_heights(found, EXACT)
+    counted = np.isfinite(heights_m)
+    assert (found.pressed_m.max(axis=0)[counted] > heights_m[counted]).all()
+    shallow = replace(found, pressed_m=np.minimum(found.pressed_m, 0.99 * heights_m[counted].min()))
+    assert not np.isfinite(state_heights(shallow, EXACT)).any()
+
+
+def test_a_noisy_reading_counts_places_that_enough_touches_press(clean_views):
+    found = inspect_part(clean_views, misplace(clean_views)).map
+    once = np.isfinite(found.pressed_m).sum(axis=0) < 2
+    assert not np.isfinite(state_heights(found, NOISY)[once]).any()
+    alone = replace(found, pressed_m=found.pressed_m[:1])
+    assert not np.isfinite(state_heights(alone, NOISY)).any()
+
+
+def test_a_burr_as_high_as_stated_is_found(clean_views):
+    stated_mm = 1e3 * inspect_part(clean_views, misplace(clean_views)).detectable_m
+    views = press(make_plate(make_burr(stated_mm)))
+    assert inspect_part(views, misplace(views)).verdict == "differs"
+
+
+def test_the_verdict_of_a_noisy_reading_has_a_note(clean_views):
+    found = inspect_part(clean_views, misplace(clean_views))
+    assert len(replace(found, limits=NOISY).list_notes()) == len(found.list_notes()) + 1
 
 
 @pytest.mark.parametrize("height_mm", [0.15, 0.3])
