@@ -13,6 +13,10 @@ pose errors that the differences cause, with clean readings: the largest displac
 by a fit that starts at the true pose. The last one checks the height x that clean inspections state: a burr or a dent
 of this height is planted at a random touched place, and the same sensor poses touch again. The limits were chosen on
 other parts. An interrupted run continues with the next part.
+
+Taxim draws the images. They are read by a random law of the gel, as the localizer may choose any. For them, a further
+table has the differences at places that enough touches show. A difference is overlooked if the verdict is "as the
+model" within less than its size.
 """
 
 import contextlib
@@ -39,7 +43,8 @@ from tactile_loc.plugin import Scene, View, registry
 from tactile_loc.plugin.helpers import exponential, invert
 
 SIZES_MM = (0.1, 0.2, 0.3, 0.5)
-READINGS = {"clean": SIZES_MM, "noisy": SIZES_MM, "elastic": SIZES_MM, "images": (0.2, 0.5)}  # with sizes, mm
+SENSORS = {"images": "gelsight-mini", "GelSight images": "gelsight"}  # whose images Taxim draws
+READINGS = {**dict.fromkeys(("clean", "noisy", "elastic"), SIZES_MM), **dict.fromkeys(SENSORS, (0.2, 0.5, 1.0))}
 MESHES = ROOT.parent / "shared" / "data" / "meshes" / "automate"
 NAMES = (
     "00187_socket 00486_plug 00731_socket 00296_plug 00514_socket 00652_plug 00103_plug 00016_socket 01053_plug "
@@ -47,6 +52,7 @@ NAMES = (
 )
 TOUCHES, DRAWS, SEED, NEAR_M, GEL, VERSION = 3, 60, 5, 3e-3, Gel(4e-3), 3  # increase VERSION if results change
 STATED, FACTORS = 4, (0.7, 1.0, 1.3)  # clean inspections of each part whose stated height is checked, and its shares
+SHOWN_M = 5e-4  # a touch shows a planted difference if it shows a place this near to its middle
 TILT_RAD, ASIDE_M, PRESS, POSE_STD = 0.05, 6e-4, (0.4, 0.8), np.array([3.5e-3] * 3 + [1e-4] * 3)
 
 
@@ -54,13 +60,15 @@ class Presser:
     """Presses a sensor on parts, drawn by ray casting, and reads the touches."""
 
     def __init__(self, reading: str, folder: Path) -> None:
+        make = SENSORS.get(reading)
         self.images, self.noise = (
-            reading == "images" and TaximImages(),
+            make and TaximImages(TaximImages.Options(sensor=make)),
             make_noise("mild" if reading == "noisy" else "none"),
         )
-        if self.images and not (folder / "sensor" / "sensor.toml").exists():
-            self.images.prepare_sensor(folder)
-        name, options = ("calibrated", {"path": str(folder / "sensor")}) if self.images else ("gelsight-mini", {})
+        place = folder / str(make) / "sensor"
+        if self.images and not (place / "sensor.toml").exists():
+            self.images.prepare_sensor(place.parent)
+        name, options = ("calibrated", {"path": str(place)}) if self.images else ("gelsight-mini", {})
         self.sensor, self.renderer = (
             registry().create("sensor", name, options),
             registry().create("renderer", "raycast", {}),
@@ -85,7 +93,9 @@ class Presser:
             return touch
         with contextlib.suppress(TactileLocError):
             scene, T = Scene(obj, touch.geometry, self.renderer), np.asarray(touch.T_sensor_object)
-            return Touch(self.sensor.contact_shape(self.images.press(scene, T, rng)), self.geometry, T_sensor_object=T)
+            image = self.images.press(scene, T, rng)
+            shape = self.sensor.contact_shape(image)
+            return Touch(shape, self.geometry, T_sensor_object=T, image=image)
         return None
 
 
@@ -101,6 +111,8 @@ def inspect(
     if len(touches) < TOUCHES:
         raise TouchError("the place cannot be touched")
     mine, rng = registry().create("renderer", "heightmap", {}), np.random.default_rng(seed)
+    law = rng.integers(3) if presser.images else 0  # the localizer may take any law of the gel
+    touches = [(one, *one.read_otherwise())[min(law, len(one.contact_shape.otherwise))] for one in touches]
     views = [View(one, Scene(known, one.geometry, mine)) for one in touches]
     errors = exponential(POSE_STD * rng.normal(size=(TOUCHES, 6)), presser.geometry.gel_middle_m)
     return inspection.inspect_part(views, list(errors @ list_true(views))), views
@@ -115,7 +127,10 @@ def describe(found: inspection.Inspection, point_m: np.ndarray) -> dict[str, Any
     """Return what an inspection found, and what it found near a point (3,), metres."""
     near = [one for one in found.differences if np.linalg.norm(one.point_m - point_m) < NEAR_M]
     height = [abs(near[0].height_m), near[0].std_m] if near and not near[0].at_least else None
+    places = np.linalg.norm(found.map.points_m - point_m, axis=1) < SHOWN_M
+    shown = bool((found.map.touches[places] >= found.limits.touches).any())
     row = {"found": len(found.differences), "near": len(near), "detectable_m": min(found.detectable_m, 1.0)}
+    row |= {"shown": shown, "said": found.verdict}
     return {**row, "height": height, "moved_m": {}}
 
 
@@ -162,7 +177,8 @@ class PartJob:
         """Return a row for each case."""
         presser = open_presser(self.reading, self.store)
         cases = [("clean", 0.0, n) for n in range(self.clean)]
-        cases = cases or [(*one, 100 + n) for n, one in enumerate(itertools.product(KINDS, READINGS[self.reading]))]
+        kinds = KINDS[:3] if self.reading in SENSORS else KINDS
+        cases = cases or [(*one, 100 + n) for n, one in enumerate(itertools.product(kinds, READINGS[self.reading]))]
         return {"rows": [row for case in cases for row in self.measure_case(presser, obj, *case)]}
 
     def measure_case(
@@ -200,35 +216,58 @@ def write_share(found: Sequence[bool]) -> str:
     return f"{100 * np.mean(found):.0f} % ({100 * low:.0f} to {100 * high:.0f}) of {len(found)}"
 
 
+def write_outcome(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the share found, and how many were not found though they are higher than stated."""
+    overlooked = [row for row in rows if row["said"] == "as the model" and row["detectable_m"] < 1e-3 * row["size_mm"]]
+    found = [row["near"] > 0 for row in rows]
+    return f"{100 * np.mean(found):.0f} % of {len(rows)}, {len(overlooked)} overlooked" if rows else ""
+
+
+def report_overlooked(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the shares of the differences that are found, where enough touches show their place."""
+    sizes = sorted({row["size_mm"] for row in rows if row["kind"] in KINDS})
+    print("\n" + write_head("difference at a place that enough touches show", *(f"{size} mm" for size in sizes)))
+    for kind in KINDS:
+        each = [
+            [row for row in rows if (row["kind"], row["size_mm"]) == (kind, size) and row["shown"]] for size in sizes
+        ]
+        if any(each):
+            print(f"| {kind} | {' | '.join(map(write_outcome, each))} |")
+
+
 def report(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the tables."""
-    print(write_head("reading", "difference", *(f"{size} mm" for size in SIZES_MM), "inspections"))
+    sizes = sorted({row["size_mm"] for row in rows if row["kind"] in KINDS})
+    heads = [f"{size} mm" for size in sizes]
+    print(write_head("reading", "difference", *heads, "inspections"))
     for reading, of in itertools.groupby(rows, lambda row: row["reading"]):
         by_kind = {
             kind: [row for row in some if row["kind"] == kind] for some in [list(of)] for kind in ("clean", *KINDS)
         }
+        if reading in SENSORS:
+            by_kind = {kind: some for kind, some in by_kind.items() if kind not in KINDS[3:]}
         for kind, some in by_kind.items():
             if not some:
                 continue
-            each = [[row["near"] > 0 for row in some if row["size_mm"] == size] for size in SIZES_MM]
+            each = [[row["near"] > 0 for row in some if row["size_mm"] == size] for size in sizes]
             cells = [f"{100 * np.mean(one):.0f} %" if one else "" for one in each]
             if kind == "clean":
                 size_mm = 1e3 * np.median([row["detectable_m"] for row in some])
                 kind = f"none; stated: within {size_mm:.2f} mm (median)"
-                cells = [f"{sum(row['found'] > 0 for row in some)} false alarms", "", "", ""]
+                cells = [f"{sum(row['found'] > 0 for row in some)} false alarms", *[""] * (len(sizes) - 1)]
             print(f"| {reading} | {kind} | {' | '.join(cells)} | {len(some)} |")
-    print("\n" + write_head("stated height, burrs and dents", *(f"{size} mm" for size in SIZES_MM)))
+    print("\n" + write_head("stated height, burrs and dents", *heads))
     known = [row for row in rows if row["kind"] in KINDS[:2] and row["height"]]
-    each = [(1e-3 * size, [row["height"] for row in known if row["size_mm"] == size]) for size in SIZES_MM]
+    each = [(1e-3 * size, [row["height"] for row in known if row["size_mm"] == size]) for size in sizes]
     ratios = (f"{np.median([height for height, _ in some] or [0]) / size:.2f}" for size, some in each)
     within = (np.mean([abs(height - size) < 2 * std for height, std in some] or [0]) for size, some in each)
     print(f"| of the true height (median) | {' | '.join(ratios)} |")
     print(f"| true height within +- | {' | '.join(f'{100 * share:.0f} %' for share in within)} |")
-    print("\n" + write_head("pose", *(f"{size} mm" for size in SIZES_MM)))
+    if any(row["reading"] in SENSORS for row in rows):
+        report_overlooked(rows)
+    print("\n" + write_head("pose", *heads))
     for name, words in (("plain", "least squares"), ("robust", "of the inspection")):
-        each = [
-            [1e3 * row["moved_m"][name] for row in rows if row["moved_m"] and row["size_mm"] == s] for s in SIZES_MM
-        ]
+        each = [[1e3 * row["moved_m"][name] for row in rows if row["moved_m"] and row["size_mm"] == s] for s in sizes]
         cells = [f"{np.median(one):.2f}, {np.quantile(one, 0.9):.2f}" if one else "" for one in each]
         print(f"| {words} | {' | '.join(cells)} |")
     if not any(row["kind"].startswith("stated") for row in rows):

@@ -58,7 +58,7 @@ def alter(obj: ObjectModel, kind: str, size: float, spot: Spot) -> tuple[ObjectM
     if kind in ("burr", "dent"):
         radius = (CAP_MM**2 + size**2) / (2 * size)
         ball = Manifold.sphere(radius, 96).translate([0, 0, (size - radius) * (1 if kind == "burr" else -1)])
-        cap = spot.place(ball ^ Manifold.cylinder(1.2, CAP_MM, CAP_MM, 48, True))
+        cap = spot.place(ball ^ Manifold.cylinder(max(1.2, 2.4 * size), CAP_MM, CAP_MM, 48, True))
         return model(solid + cap if kind == "burr" else solid - cap), obj
     if kind == "closed hole":
         hole = Manifold.cylinder(size + 2, HOLE_MM, HOLE_MM, 48).translate([0, 0, -size])

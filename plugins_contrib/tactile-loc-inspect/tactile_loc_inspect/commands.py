@@ -170,8 +170,8 @@ def make_inspection_page(found: Inspection, located: Localization, picture: Path
     ]
     note = (
         "Heights are along the surface normal: + is material that the model lacks. +- is twice the standard deviation. "
-        "Places are in the part's frame. With contact shapes, at most 2 % of clean parts show a difference; with "
-        "images, more do."
+        "Places are in the part's frame. With contact shapes, at most 2 % of clean parts show a difference. "
+        "Images of real sensors were not measured."
     )
     sections = [
         Section("summary", "", {"numbers": numbers, "notes": found.list_notes()}),

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion, gaussian_filter, maximum_filter, uniform_filter
-from tactile_loc.plugin import Scene, SensorGeometry, View
+from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter, maximum_filter, uniform_filter
+from tactile_loc.plugin import ContactShape, Scene, SensorGeometry, Touch, View
 from tactile_loc.plugin.helpers import exponential, invert, logarithm, transform_points
 
 Floats = NDArray[np.float64]
@@ -40,6 +40,11 @@ BLURRED_M, BLURRED_EDGE = 2e-5, 0.5  # least noise of a blurred reading, and sha
 BORDER_M = 6e-4  # at the border of the gel, a blurred reading is not compared
 CORRELATED_M2 = 5e-7  # area in which the error of a reading is the same
 TOUCHING_M = 2e-6  # an elastic gel touches the model where its surface is this near
+CUTS = (0.25, 0.7)  # least and largest depth at which the reading of an image is cut, as a share of the press
+DISTORTION_STD = np.array([0.15] + [3e-5] * 3)  # of a reading from an image: see `TouchImage`
+DISTORTION_STEPS = np.array([2e-2] + [1e-5] * 3)  # for derivatives
+OUTLINE_M = 4e-4  # error of the contact's outline in a reading from an image
+BENT_M = 2e-3  # distance from the gel's middle at which the bends are stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +61,11 @@ class Differences:
     missed: Bools
     extra: Bools
 
+    def restrict(self, where: Bools) -> Differences:
+        """Return the differences at the pixels of a mask (H, W) only."""
+        known = self.known & where
+        return Differences(np.where(known, self.height_m, 0), known, self.missed & known, self.extra & known)
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -66,6 +76,7 @@ class Comparison:
     the object's frame. `cosines` (H, W) are those of the angles between the sensor's axis and the normals. `noise_m` is
     the noise of the reading where the surface is flat, and `blur_m` the sensor's blur. `misfit_m` is the mean absolute
     difference in contact, in which large ones count as NEAR_M. All lengths are metres.
+    `from_image` states whether the touch was read from an image.
     """
 
     geometry: SensorGeometry
@@ -80,6 +91,7 @@ class Comparison:
     noise_m: float
     blur_m: float
     misfit_m: float
+    from_image: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +100,9 @@ class TouchImage:
 
     `depth_m` (H, W), metres, is the contact shape. The gel is displaced at the pixels `displaced`, and touches the part
     at those `touching`. `press_m` is the indentation of the part's deepest point, and `cut_m` the press depth.
+
+    A reading from an image is distorted: its `distortion` is the relative error of its heights, and three bends, which
+    are the coefficients of x^2, x y and y^2, metres at the distance BENT_M. It is empty for other readings.
     """
 
     scene: Scene
@@ -97,18 +112,22 @@ class TouchImage:
     press_m: float
     cut_m: float
     blur_m: float = 0.0
+    distortion: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, view: View) -> TouchImage:
         """Return the touch of a view, with pixels of about PITCH_M."""
-        touch = view.touch
+        touch = cut_reading(view.touch)
         step = max(1, round(PITCH_M / touch.geometry.pixel_pitch_m))
         geometry, shape = touch.geometry.subsample(step), touch.contact_shape
         scene, depth_m = Scene(view.scene.object, geometry, view.scene.renderer), shape.depth_m[::step, ::step]
         displaced, touching = (
             one.contact[::step, ::step] & geometry.observed_mask for one in (shape, touch.touching_shape)
         )
-        return cls(scene, depth_m.astype(float), displaced, touching, shape.deepest_m, shape.press_depth_m)
+        distortion = () if touch.image is None else (0.0,) * len(DISTORTION_STD)
+        return cls(
+            scene, depth_m.astype(float), displaced, touching, shape.deepest_m, shape.press_depth_m, 0.0, distortion
+        )
 
     @property
     def geometry(self) -> SensorGeometry:
@@ -121,12 +140,26 @@ class TouchImage:
         Depths are measured as in the contact shape. They go from -BELOW_M to the press plus ABOVE_M, or to the press if
         the gel is elastic.
         """
+        return self.soften(self.distort(self.render(T_sensor_object)))
+
+    def render(self, T_sensor_object: Floats) -> Floats:
+        """Return the depths (N, H, W), metres, of the model at poses (N, 4, 4), without distortion and blur."""
         deep_m = self.press_m + BELOW_M
         if self.geometry.gel.is_elastic:
             depth_m = self.scene.press(deep_m).render_gel_depths(T_sensor_object)
         else:
             depth_m = self.scene.press(deep_m, deep_m + ABOVE_M).render_contact_depths(T_sensor_object)
-        return self.soften(depth_m.astype(float) - BELOW_M)
+        return depth_m.astype(float) - BELOW_M
+
+    def distort(self, depth_m: Floats) -> Floats:
+        """Return depths (N, H, W), metres, with the distortion of the reading."""
+        if not self.distortion:
+            return depth_m
+        points = self.geometry.backproject(np.full(self.geometry.shape, self.geometry.surface_m))
+        x, y = np.moveaxis((points - self.geometry.gel_middle_m)[..., :2] / BENT_M, -1, 0)
+        scale, *bends = self.distortion
+        bent_m = np.einsum("i,ihw->hw", bends, np.stack([x * x, x * y, y * y]))
+        return np.asarray(self.press_m - (1 + scale) * (self.press_m - depth_m) + bent_m)
 
     def soften(self, depth_m: Floats) -> Floats:
         """Return depths (N, H, W), metres, as a sensor with the blur shows them."""
@@ -161,13 +194,32 @@ class TouchImage:
 class FittedPose:
     """A pose `T` (4, 4), metres, the model's depths (H, W), metres, and how the pose's error changes them.
 
-    `J` (6, H, W) are the derivatives of the depths by a twist, whose covariance is `covariance` (6, 6).
+    `image` is the touch with its fitted distortion. `J` (6 + D, H, W) are the derivatives of the depths by a twist and
+    by the D numbers of the distortion, and `covariance` (6 + D, 6 + D) is theirs.
     """
 
+    image: TouchImage
     T: Floats
     model_m: Floats
     J: Floats
     covariance: Floats
+
+
+def cut_reading(touch: Touch) -> Touch:
+    """Return a touch read from an image as by a rigid gel: cut where the gel leaves the part. Others are unchanged.
+
+    Around the contact, no law of the gel is exact.
+    """
+    if touch.image is None or not touch.geometry.gel.is_elastic:
+        return touch
+    shape, observed = touch.contact_shape, touch.geometry.observed_mask
+    depths_m = np.sort(shape.depth_m[observed])
+    pixels = min(int((touch.touching_shape.contact & observed).sum()), len(depths_m) - 1)
+    least_m, most_m = (share * shape.deepest_m for share in CUTS)
+    cut_m = min(max(float(depths_m[pixels]), least_m), most_m)
+    depth_m = np.where(observed, np.minimum(shape.depth_m, np.float32(cut_m)), np.float32(cut_m))
+    rigid = dataclasses.replace(touch.geometry, gel=type(touch.geometry.gel)())
+    return dataclasses.replace(touch, contact_shape=ContactShape(depth_m, cut_m, shape.deepest_m), geometry=rigid)
 
 
 def compare_touches(views: Sequence[View], poses: Sequence[Floats]) -> list[Comparison]:
@@ -184,10 +236,8 @@ def compare_touches(views: Sequence[View], poses: Sequence[Floats]) -> list[Comp
     best = int(np.argmin(misfits))
     blur_m = BLURS_M[best] if misfits[best] < BLUR_GAIN * misfits[0] else 0.0
     return [
-        _compare(image, fit_pose(image, one.T, T))
-        for image, one, T in zip(
-            (dataclasses.replace(image, blur_m=blur_m) for image in images), rough, poses, strict=True
-        )
+        _compare(fit_pose(dataclasses.replace(one.image, blur_m=blur_m), one.T, T))
+        for one, T in zip(rough, poses, strict=True)
     ]
 
 
@@ -202,28 +252,30 @@ def _measure_blurred(image: TouchImage, model_m: Floats, blur_m: float) -> float
     return measure_misfit(blurred.compare_everywhere(blurred.soften(model_m[None])[0]))
 
 
-def _compare(image: TouchImage, fitted: FittedPose) -> Comparison:
+def _compare(fitted: FittedPose) -> Comparison:
     """Compare a touch with the model at a fitted pose."""
+    image = fitted.image
     everywhere = image.compare_everywhere(fitted.model_m)
     rough_m = measure_roughness(fitted.model_m)
     noise_m = measure_noise(everywhere, rough_m)
     if image.geometry.gel.is_elastic:  # where the gel leaves an edge is less exact
         rough_m = maximum_filter(rough_m, 3)
     reliable = np.ones_like(everywhere.known)
-    if image.blur_m:
+    if image.blur_m or image.distortion:
         sharp_m = dataclasses.replace(image, blur_m=0.0).draw(fitted.T[None])[0]
         rough_m = np.maximum(rough_m, BLURRED_EDGE * measure_roughness(np.minimum(sharp_m, image.press_m)))
         noise_m = max(noise_m, BLURRED_M)
         inside = np.pad(image.geometry.observed_mask, 1)
         reliable = binary_erosion(inside, iterations=1 + round(BORDER_M / image.geometry.pixel_pitch_m))[1:-1, 1:-1]
     found = image.subtract(fitted.model_m, image.find_model_touching(fitted.model_m, fitted.T))
-    points_m, normals, cosines = _describe_surface(image, fitted)
+    points_m, normals, cosines = _describe_surface(fitted)
     rim_m = max(RIM_M, RIM_NOISE * noise_m)
     faint = (found.missed & (image.cut_m - fitted.model_m < rim_m)) | (
         found.extra & (image.cut_m - image.depth_m < rim_m)
     )
-    known = found.known & ~faint & reliable & (cosines > 1 / np.hypot(1, STEEPEST))
-    found = Differences(np.where(known, found.height_m, 0), known, found.missed & known, found.extra & known)
+    found = found.restrict(~faint & reliable & (cosines > 1 / np.hypot(1, STEEPEST)))
+    if image.distortion:
+        found = found.restrict(~_find_uncertain_outline(found, image.geometry.pixel_pitch_m))
     variance = np.einsum("ihw,ij,jhw->hw", fitted.J, fitted.covariance, fitted.J)
     return Comparison(
         image.geometry,
@@ -238,7 +290,21 @@ def _compare(image: TouchImage, fitted: FittedPose) -> Comparison:
         noise_m,
         image.blur_m,
         measure_misfit(everywhere),
+        bool(image.distortion),
     )
+
+
+def _find_uncertain_outline(found: Differences, pitch_m: float) -> Bools:
+    """Mark the pixels (H, W) that only the part touches within OUTLINE_M of where the model touches, or vice versa.
+
+    Pixels have the size `pitch_m`, metres.
+    """
+    uncertain = np.zeros_like(found.known)
+    for alone in (found.missed, found.extra):
+        other = found.known & ~alone  # where the one that is missing here touches
+        if other.any():
+            uncertain |= alone & (distance_transform_edt(~other) * pitch_m < OUTLINE_M)
+    return uncertain
 
 
 def fit_pose(
@@ -249,38 +315,51 @@ def fit_pose(
     Each round has a scale of its weights, metres; None gives all differences their full weight.
     """
     centre, T = image.geometry.gel_middle_m, start
-    held = np.diag(1 / PRIOR_STD**2)
+    held = np.diag(1 / np.concatenate([PRIOR_STD, DISTORTION_STD[: len(image.distortion)]]) ** 2)
     for scale_m in scales_m:
         H, g = _weigh(image, _draw_near(image, T, centre), scale_m)
-        twist = np.linalg.solve(H + held, -(g + held @ logarithm(T @ invert(given), centre)))
-        T = exponential(twist / max(1.0, np.abs(twist / (2 * PRIOR_STD)).max()), centre) @ T
+        away = np.concatenate([logarithm(T @ invert(given), centre), image.distortion])
+        step = np.linalg.solve(H + held, -(g + held @ away))
+        step /= max(1.0, np.abs(step[:6] / (2 * PRIOR_STD)).max())
+        T = exponential(step[:6], centre) @ T
+        image = dataclasses.replace(image, distortion=tuple(image.distortion + step[6:]))
     drawn = _draw_near(image, T, centre)
     H, _ = _weigh(image, drawn, scales_m[-1])
-    return FittedPose(
-        T, drawn[0], (drawn[1:] - drawn[0]) / STEPS[:, None, None], np.asarray(np.linalg.inv(H + held), np.float64)
-    )
+    J = (drawn[1:] - drawn[0]) / _list_steps(image)[:, None, None]
+    return FittedPose(image, T, drawn[0], J, np.asarray(np.linalg.inv(H + held), np.float64))
+
+
+def _list_steps(image: TouchImage) -> Floats:
+    """Return the steps (6 + D,) for derivatives by a twist and by the distortion of a touch."""
+    return np.concatenate([STEPS, DISTORTION_STEPS[: len(image.distortion)]])
 
 
 def _draw_near(image: TouchImage, T: Floats, centre: Floats) -> Floats:
-    """Return the model's depths (7, H, W), metres, at a pose (4, 4) and after each of STEPS about the centre (3,)."""
-    return image.draw(np.concatenate([T[None], exponential(np.diag(STEPS), centre) @ T]))
+    """Return the model's depths (7 + D, H, W), metres, at a pose (4, 4), after each of STEPS about the centre (3,).
+
+    The last D depths are those after each of DISTORTION_STEPS.
+    """
+    rendered = image.render(np.concatenate([T[None], exponential(np.diag(STEPS), centre) @ T]))
+    moved = np.diag(DISTORTION_STEPS[: len(image.distortion)]) + image.distortion
+    distorted = [dataclasses.replace(image, distortion=tuple(one)).distort(rendered[:1]) for one in moved]
+    return image.soften(np.concatenate([image.distort(rendered), *distorted]))
 
 
 def _weigh(image: TouchImage, drawn_m: Floats, scale_m: float | None) -> tuple[Floats, Floats]:
-    """Return the information (6, 6) of the differences about a twist, and their gradient (6,).
+    """Return the information (6 + D, 6 + D) of the differences about the pose and the distortion, and their gradient.
 
-    The model's depths (7, H, W), metres, are those at the pose and after each of STEPS. Imprints are smoothed.
+    The model's depths (7 + D, H, W), metres, are those of `_draw_near`. Imprints are smoothed.
     """
     sigma = SMOOTHING_M / image.geometry.pixel_pitch_m
     seen_m = gaussian_filter(np.where(image.displaced, image.cut_m - image.depth_m, 0), sigma)
     model_m = gaussian_filter(np.maximum(image.cut_m - drawn_m, 0), (0, sigma, sigma))
-    off_m, J = seen_m - model_m[0], (model_m[0] - model_m[1:]) / STEPS[:, None, None]
+    off_m, J = seen_m - model_m[0], (model_m[0] - model_m[1:]) / _list_steps(image)[:, None, None]
     std_m = np.hypot(scale_m or SCALES_M[0], measure_roughness(model_m[0]))
     known = image.geometry.observed_mask & (np.maximum(seen_m, model_m[0]) > 0)
     weights = known / std_m**2 * min(1.0, image.geometry.pixel_pitch_m**2 / CORRELATED_M2)
     if scale_m is not None:
         weights /= (1 + (off_m / std_m) ** 2) ** 2
-    rows = J.reshape(6, -1)
+    rows = J.reshape(len(J), -1)
     weighted = rows * weights.ravel()
     return weighted @ rows.T, weighted @ off_m.ravel()
 
@@ -309,11 +388,12 @@ def measure_misfit(found: Differences) -> float:
     return float(np.minimum(np.abs(found.height_m[found.known]), NEAR_M).mean()) if found.known.any() else NEAR_M
 
 
-def _describe_surface(image: TouchImage, fitted: FittedPose) -> tuple[Floats, Floats, Floats]:
+def _describe_surface(fitted: FittedPose) -> tuple[Floats, Floats, Floats]:
     """Return the model's surface in the object's frame: points and normals (H, W, 3), and cosines (H, W).
 
     Where the model is beyond reach, the points are those of the gel.
     """
+    image = fitted.image
     z_m = image.geometry.surface_m - image.press_m + np.minimum(fitted.model_m, image.press_m + ABOVE_M)
     points = image.geometry.backproject(z_m)
     across, down = np.gradient(points, axis=1), np.gradient(points, axis=0)

@@ -41,12 +41,13 @@ class Limits:
     """When a difference is reported, for one kind of reading.
 
     `ratio` is the least statistic. `touches` is the least number of touches that alone show the difference, and
-    `bounds` their least number if they only bound it.
+    `bounds` their least number if they only bound it. `shown` is the share of a narrow dent's depth that is read.
     """
 
     ratio: float
     touches: int
     bounds: int
+    shown: float = 1.0
 
     def are_met(self, one: Difference) -> bool:
         """Return whether enough touches show a difference."""
@@ -55,6 +56,7 @@ class Limits:
 
 EXACT = Limits(8.0, 1, 1)
 NOISY = Limits(5.0, 2, 3)
+IMAGES = Limits(8.0, 2, 2, 1 / 6)  # a gel bridges narrow dents
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +148,12 @@ class Inspection:
                 f"{100 * self.unexplained:.0f} % of the touched surface differs, so the pose or the model may be wrong"
             )
         if self.from_images and (self.differences or self.unconfirmed):
-            notes.append("readings from images also show differences on clean parts, so check each difference by eye")
+            notes.append("the touches are read from images, which may err at edges, so check each difference by eye")
+        if self.from_images and not self.differences:
+            notes.append(
+                "the touches are read from images, so small differences cannot be found; the stated height is an "
+                "estimate that was not measured on real sensors"
+            )
         return notes
 
     def to_json(self) -> dict[str, Any]:
@@ -198,7 +205,7 @@ def inspect_part(
     """
     comparisons, obj = tuple(compare_touches(views, poses)), views[0].scene.object
     found, pairs = map_differences(comparisons), list(zip(views, comparisons, strict=True))
-    limits = NOISY if comparisons[0].blur_m or np.median([one.noise_m for one in comparisons]) > NOISY_M else EXACT
+    limits = choose_limits(comparisons)
     listed = list_differences(found, limits)
     enough = [one for one in listed if limits.are_met(one)]
     stated_m = state_heights(found, limits)
@@ -220,11 +227,19 @@ def inspect_part(
     )
 
 
+def choose_limits(comparisons: Sequence[Comparison]) -> Limits:
+    """Return the limits for the reading of touches."""
+    if any(one.from_image for one in comparisons):
+        return IMAGES
+    noise_m = np.median([one.noise_m for one in comparisons])
+    return NOISY if comparisons[0].blur_m or noise_m > NOISY_M else EXACT
+
+
 def state_heights(found: SurfaceMap, limits: Limits) -> Floats:
     """Return the heights (N,), metres, of STATED_WIDTH_M wide differences that would be found with 95 % at each place.
 
     A blob's mean is lower than the peak of a difference, so each place counts by its best size of blobs. The height is
-    infinite where too few touches press the place deeper than this height: there, a dent would leave the gel.
+    infinite where too few touches press the place deeper than the dent that is read: there, it would leave the gel.
     """
     stated = (STATED_WIDTH_M / WIDTH) ** 2
     shares = stated / (stated + np.square(SIZES_M))
@@ -232,7 +247,7 @@ def state_heights(found: SurfaceMap, limits: Limits) -> Floats:
     count = max(limits.touches, min(limits.bounds, len(found.pressed_m)))
     if count > len(found.pressed_m):
         return np.full(len(heights_m), np.inf)
-    return np.where(np.sort(found.pressed_m, axis=0)[-count] > heights_m, heights_m, np.inf)
+    return np.where(np.sort(found.pressed_m, axis=0)[-count] > heights_m, heights_m / limits.shown, np.inf)
 
 
 def list_differences(found: SurfaceMap, limits: Limits) -> list[Difference]:
@@ -250,6 +265,7 @@ def list_differences(found: SurfaceMap, limits: Limits) -> list[Difference]:
         heights = found.heights_m[:, place] / found.heights_m[sharp, place]
         width = WIDTH * SIZES_M[int(np.flatnonzero(heights > HALF)[-1])]
         distances = np.linalg.norm(found.points_m - point, axis=1)
+        bridged = limits.shown < 1 and found.heights_m[sharp, place] < 0
         listed.append(
             Difference(
                 point,
@@ -257,7 +273,7 @@ def list_differences(found: SurfaceMap, limits: Limits) -> list[Difference]:
                 float(found.heights_m[sharp, place] + flattened),
                 float(np.hypot(found.std_m[sharp, place], flattened)),
                 width,
-                bool(found.bounds[distances < width].mean() > BOUNDED),
+                bool(bridged or found.bounds[distances < width].mean() > BOUNDED),
                 int(found.support[k, place]),
                 int(found.against[k, place]),
                 float(best[place]),

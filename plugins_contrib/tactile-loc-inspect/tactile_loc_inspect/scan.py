@@ -25,6 +25,7 @@ ALIKE_M = 3e-4  # a touch shows a place if its surface there is this near to the
 FACING = 0.5  # cosine of the largest angle between the normals of a place in two touches
 LEAST_SEEN = 0.3  # share of a blob that must be compared
 AGREE = 3.0  # standard deviations by which a touch alone supports a difference
+AGREE_IMAGE = 2.0  # the same, for a touch that was read from an image
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +82,7 @@ def map_differences(comparisons: Sequence[Comparison]) -> SurfaceMap:
     pooled = (heights * weights).sum(axis=0) / total
     std = np.where(np.isfinite(variances).any(axis=0), 1 / np.sqrt(total), np.inf)
     alone = heights * np.sqrt(weights) * np.sign(pooled)
+    agree = AGREE_IMAGE if any(one.from_image for one in comparisons) else AGREE
     counted = np.maximum(np.isfinite(variances[:, 1]).sum(axis=0), 1)
     return SurfaceMap(
         points,
@@ -88,8 +90,8 @@ def map_differences(comparisons: Sequence[Comparison]) -> SurfaceMap:
         area / counted,
         pooled,
         std,
-        (alone > AGREE).sum(axis=0),
-        (alone < -AGREE).sum(axis=0),
+        (alone > agree).sum(axis=0),
+        (alone < -agree).sum(axis=0),
         np.isfinite(variances[:, 1]).sum(axis=0),
         bounds,
         pressed_m,

@@ -27,9 +27,14 @@ def make_burr(height_mm: float) -> trimesh.Trimesh:
     return trimesh.creation.icosphere(4, 1.0).apply_translation(1e3 * TOP_M + [0, 0, height_mm - 1.0])
 
 
-def press(part: ObjectModel, seed: int = 0, count: int = 2, geometry: SensorGeometry = GEOMETRY) -> list[View]:
-    """Return views of the plate's model, with touches of a `part` on the step, drawn by the z-buffer."""
-    rng, model = np.random.default_rng(seed), make_plate()
+def make_dome() -> trimesh.Trimesh:
+    """Return a ball of radius 6 mm that rises 0.9 mm above the step, which it covers."""
+    return trimesh.creation.icosphere(5, 6.0).apply_translation(1e3 * TOP_M + [0, 0, 0.9 - 6.0])
+
+
+def press(part: ObjectModel, seed: int = 0, count: int = 2, model: ObjectModel | None = None) -> list[View]:
+    """Return views of a model, by default the plate, with touches of a `part` on the step, drawn by the z-buffer."""
+    rng, model, geometry = np.random.default_rng(seed), model or make_plate(), GEOMETRY
     source = RobotTouches(part, geometry, registry().create("renderer", "zbuffer", {}))
     mine = registry().create("renderer", "heightmap", {})
     views = []
