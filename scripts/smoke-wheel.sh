@@ -79,6 +79,7 @@ annex library
 annex test-object
 annex touchability
 needs camera live --camera 0 --object hook --port 0
+needs camera calibrate empty.mp4 --ball-radius 3 --mm-per-px 0.06 --out refused
 needs clearance next-touch result --around 3 --finger 32x28x24mm --out refused
 needs faiss run --matcher faiss --out refused
 needs icp run --refiner icp --out refused
@@ -90,7 +91,6 @@ needs render run --renderer raycast --out refused
 needs render run --renderer pyrender --out refused
 needs step run --object empty.step --units mm --touch touch.npz --out refused
 needs sweep sweep --object hook --out refused
-needs video calibrate empty.mp4 --ball-radius 3 --mm-per-px 0.06 --out refused
 needs view run --rerun refused.rrd --out refused
 
 # The annexes are built and installed from a copy of the tree, without their libraries, and add their commands.

@@ -53,7 +53,7 @@ touchability*) refuse touchability ;;
 replay*) refuse recordings ;;
 *.step*) refuse step ;;
 sweep*) refuse sweep ;;
-*empty.mp4*) refuse video ;;
+*empty.mp4*) refuse camera ;;
 *--rerun*) refuse view ;;
 app) refuse app ;;
 esac

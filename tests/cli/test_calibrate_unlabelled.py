@@ -71,7 +71,7 @@ def test_each_missing_contradictory_or_unreadable_input_is_one_sentence(cli, pho
     BALLS.write(photos)
     assert_refused(cli("calibrate", photos, "--mm-per-px", 0.3, *FEW), "--mm-per-px", "0.3", "sensor.toml", "0.2")
     Path("film.mp4").write_bytes(b"no film")
-    assert_refused(cli("calibrate", "film.mp4", *BALL, *SCALE, *FEW), "film.mp4", "pip install")
+    assert_refused(cli("calibrate", "film.mp4", *BALL, *SCALE, *FEW), "film.mp4", "convert it to MP4")
 
 
 @pytest.mark.slow

@@ -39,7 +39,7 @@ def test_a_mode_at_rest_moves_against_the_sensor(modes, touch):
     T_base_object = touch.T_base_sensor @ touch.T_sensor_object
     mode = modes.start(T_base_object, np.diag(STD**2))
     moved = np.asarray(touch.T_base_sensor) @ make_translation([1e-3, 0.0, 0.0])
-    (seen,) = modes.predict([mode], moved, 0.1, None)
+    (seen,) = modes.predict([mode], moved, 0.1)
     assert np.allclose(seen.known.T_base_object, T_base_object)
     assert np.allclose(seen.T_sensor_object, invert(moved) @ T_base_object)
 
@@ -47,7 +47,7 @@ def test_a_mode_at_rest_moves_against_the_sensor(modes, touch):
 def test_a_followed_mode_explains_its_touch_better_and_knows_the_pose_better(modes, touch, head):
     off = make_translation([3e-4, -2e-4, 1e-4])
     start = modes.start(touch.T_base_sensor @ off @ touch.T_sensor_object, np.diag(STD**2))
-    (mode,) = modes.predict([start], np.asarray(touch.T_base_sensor), 0.0, None)
+    (mode,) = modes.predict([start], np.asarray(touch.T_base_sensor), 0.0)
     (found,) = modes.follow([mode], [touch], 0.0)
     assert found.imprint_iou >= found.predicted_iou
     assert np.linalg.det(found.covariance) < np.linalg.det(mode.covariance)
@@ -56,7 +56,7 @@ def test_a_followed_mode_explains_its_touch_better_and_knows_the_pose_better(mod
 
 def test_a_slip_is_found_among_the_poses_nearby(modes, source, touch, head):
     start = modes.start(touch.T_base_sensor @ touch.T_sensor_object, np.diag((0.1 * STD) ** 2))
-    before = modes.predict([start], np.asarray(touch.T_base_sensor), 0.0, None)
+    before = modes.predict([start], np.asarray(touch.T_base_sensor), 0.0)
     slipped = make_translation([2e-3, 1e-3, 0.0]) @ touch.T_sensor_object
     poses, _ = head.scene.bring_to_contact(slipped[None])
     press_m = touch.indentation_m

@@ -43,9 +43,9 @@ def read_video(path: Path) -> Iterator[NDArray[np.uint8]]:
 
 def read_video_facts(path: Path) -> VideoFacts:
     """Return the rate and the number of frames that a video's header gives. The number is approximate."""
-    import cv2
-
     with _open(path) as film:
+        import cv2
+
         rate_hz, count = (float(film.get(name)) for name in (cv2.CAP_PROP_FPS, cv2.CAP_PROP_FRAME_COUNT))
     known = math.isfinite(count) and count >= 1
     return VideoFacts(rate_hz if math.isfinite(rate_hz) and rate_hz > 0 else USUAL_HZ, round(count) if known else None)
