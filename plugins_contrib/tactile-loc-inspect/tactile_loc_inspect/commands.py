@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -143,14 +144,11 @@ def make_inspection_page(found: Inspection, located: Localization, picture: Path
     from tactile_loc import Page, Section
 
     names = ", ".join(touch.name for touch in located.touches)
+    detectable = f"{1e3 * found.detectable_m:.2f} mm" if math.isfinite(found.detectable_m) else "unknown"
     numbers = [
         ("verdict", found.verdict, "only for the touched surface"),
         ("touched", f"{100 * found.touched:.1f} %", "of the surface"),
-        (
-            "detectable",
-            f"{1e3 * found.detectable_m:.2f} mm",
-            "height found with 95 % probability where touched; less often with noise",
-        ),
+        ("detectable", detectable, "height found with 95 % probability where touched; noise and images: less often"),
         ("pose moved", f"{1e3 * found.moved_m:.2f} mm", "by the differences, without this inspection"),
     ]
     sizes = ("height (mm)", "+- (mm)", "x (mm)", "y (mm)", "z (mm)", "width (mm)")

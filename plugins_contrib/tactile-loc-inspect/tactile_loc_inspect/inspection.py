@@ -151,8 +151,8 @@ class Inspection:
             notes.append("the touches are read from images, which may err at edges, so check each difference by eye")
         if self.from_images and not self.differences:
             notes.append(
-                "the touches are read from images, so small differences cannot be found; the stated height is an "
-                "estimate that was not measured on real sensors"
+                "the touches are read from images, so small differences cannot be found, and one of the stated height "
+                "is found less often than in 95 %"
             )
         return notes
 
@@ -187,7 +187,7 @@ class Inspection:
             if self.limits.touches == 1:
                 return f"not enough touches: no contact is wide enough to find differences {width:.1f} mm wide"
             return (
-                f"not enough touches: the reading has noise, so {self.limits.touches} touches must show the same place"
+                f"not enough touches: the reading has errors, so {self.limits.touches} touches must show the same place"
             )
         if not self.differences:
             within = f"{1e3 * self.detectable_m:.2f} mm at the touched places (differences {width:.1f} mm wide)"
