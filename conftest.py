@@ -203,12 +203,10 @@ def skip_if_missing(code: int, stderr: str) -> None:
 
 @pytest.fixture
 def run_process(store_folder: Path, tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run the command in one or several separate processes; keywords are environment variables."""
+    """Run the command in a process of its own; keywords are environment variables."""
 
-    def run(*words: object, processes: int = 1, **environment: str) -> subprocess.CompletedProcess[str]:
+    def run(*words: object, **environment: str) -> subprocess.CompletedProcess[str]:
         line = command(*words)
-        if processes > 1:
-            line[1:1] = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
         variables = {**os.environ, "TACTILE_LOC_STORE": str(store_folder), **environment}
         done = subprocess.run(line, cwd=tmp_path, env=variables, capture_output=True, text=True, timeout=HANGS_S)
         skip_if_missing(done.returncode, done.stderr)

@@ -14,7 +14,6 @@ torch = pytest.importorskip("torch")
 save_file = pytest.importorskip("safetensors.torch").save_file
 
 from tactile_loc.plugins.encoders.moco import recipe, training  # noqa: E402
-from tactile_loc.store.store import StageStore  # noqa: E402
 
 OPTIONS = ("epochs=2", "queries=64", "batch=32", "channels=4")
 MOCO = ["--encoder", "moco", *(word for option in OPTIONS for word in ("-o", f"encoder.{option}"))]
@@ -111,14 +110,3 @@ def test_build_trains_the_encoder_of_a_whole_object(cli):
     assert re.search(r"^encoder \(.*\): reused$", again.stdout, re.MULTILINE)
     seeded = cli(*words, "-o", "encoder.seed=1").stdout
     assert len(re.findall(r"^encoder \(.*\): built$", seeded, re.MULTILINE)) == 1
-
-
-@pytest.mark.slow
-def test_several_processes_train_one_encoder(tmp_path, run_process):
-    (tmp_path / "sure.toml").write_text("temperature = 1e-3")  # no temperature is fitted
-    words = ["--config", "sure.toml", "--store", "fresh"]
-    done = run_process("build", *PIN, *words, processes=2, OMP_NUM_THREADS="1")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("encoder (") == 1  # only the first process reports the stages
-    store = StageStore(tmp_path / "fresh")
-    assert [entry.complete for entry in store.entries() if entry.stage == "encoder"] == [True]
