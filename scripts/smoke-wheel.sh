@@ -90,7 +90,7 @@ needs recordings replay empty.mcap --image-topic /gel/image --object hook
 needs render run --renderer raycast --out refused
 needs render run --renderer pyrender --out refused
 needs step run --object empty.step --units mm --touch touch.npz --out refused
-needs sweep sweep --object hook --out refused
+needs sweep sweep --object hook --scheduler tcp://127.0.0.1:1 --out refused
 needs view run --rerun refused.rrd --out refused
 
 # The annexes are built and installed from a copy of the tree, without their libraries, and add their commands.
