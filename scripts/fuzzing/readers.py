@@ -11,7 +11,7 @@ from report_helpers import write_recall
 from fuzzing import corpora
 from tactile_loc.core.geometry.rigid import is_rigid
 from tactile_loc.core.objects.mesh import ObjectModel
-from tactile_loc.core.runtime.errors import TactileLocError
+from tactile_loc.core.runtime.errors import TactileLocError, name_source
 from tactile_loc.evaluation.sweep.plan import Plan, name_choices
 from tactile_loc.io.approach_files import read_approaches
 from tactile_loc.io.config import RunConfig
@@ -115,8 +115,9 @@ def _prior(path: Path) -> None:
 def _listed(path: Path) -> None:
     listed = read_listed_poses(path)
     _require_rigid(*listed.T_camera_object)
-    for scale in ("log", "equal"):
-        assert abs(listed.weigh(scale).sum() - 1) < 1e-6, "scores without probabilities were accepted"
+    with name_source(path):  # as `read_prior` does
+        for scale in ("equal", "log"):
+            assert abs(listed.weigh(scale).sum() - 1) < 1e-6, "scores without probabilities were accepted"
 
 
 def _mount(folder: Path) -> None:

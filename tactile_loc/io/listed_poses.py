@@ -83,10 +83,6 @@ def read_listed_poses(path: Path) -> ListedPoses:
     try:
         with convert_damage():
             return read(path)
-    except ConfigError as error:
-        if path.name in str(error):
-            raise
-        raise ConfigError(f"{path}: {error}") from error
     except OSError as error:
         raise ConfigError(f"{path} cannot be read ({error.strerror or error}); check the path") from error
     except ValueError as error:
