@@ -51,12 +51,11 @@ SEED = 13  # the score's form was chosen on folders of seed 11
 
 @dataclass(frozen=True)
 class Calibration:
-    """A calibration: the stated radius and pixel size as multiples of the true ones, and the number of photos."""
+    """A calibration: the stated radius and pixel size as multiples of the true ones."""
 
     name: str
     radius: float = 1.0
     pixel: float = 1.0
-    photos: int = 50
 
 
 RIGHT = Calibration("right")
@@ -141,7 +140,7 @@ def calibrate(source: Any, calibration: Calibration, folder: Path) -> Localizer:
     out = folder / calibration.name.replace(" ", "-").replace("%", "percent")
     if not (out / "sensor").is_dir():
         (out / "presses").mkdir(parents=True, exist_ok=True)
-        for number, image in enumerate(draw_balls(source, balls, folder)[: calibration.photos + 1]):
+        for number, image in enumerate(draw_balls(source, balls, folder)):
             PIL.Image.fromarray(image).save(out / "presses" / f"image-{number:03d}.png")
         (out / "presses" / "presses.csv").unlink(missing_ok=True)
         pitch_m = calibration.pixel * camera.pixel_pitch_m

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from tactile_loc.core.poses.posterior import NoPoseLeft as NoPoseLeft, PosePosterior as PosePosterior
     from tactile_loc.core.poses.priors import Prior as Prior
     from tactile_loc.core.runtime.progress import Progress as Progress
+    from tactile_loc.core.sensing.gel import Gel as Gel
     from tactile_loc.core.sensing.scene import Scene as Scene, View as View
     from tactile_loc.core.sensing.sensor_geometry import SensorGeometry as SensorGeometry
     from tactile_loc.core.sensing.touch import ContactShape as ContactShape, Touch as Touch

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, distance_transform_edt, gaussian_filter, maximum_filter, uniform_filter
-from tactile_loc.plugin import ContactShape, Scene, SensorGeometry, Touch, View
+from tactile_loc.plugin import ContactShape, Gel, Scene, SensorGeometry, Touch, View
 from tactile_loc.plugin.helpers import exponential, invert, logarithm, transform_points
 
 Floats = NDArray[np.float64]
@@ -218,7 +218,7 @@ def cut_reading(touch: Touch) -> Touch:
     least_m, most_m = (share * shape.deepest_m for share in CUTS)
     cut_m = min(max(float(depths_m[pixels]), least_m), most_m)
     depth_m = np.where(observed, np.minimum(shape.depth_m, np.float32(cut_m)), np.float32(cut_m))
-    rigid = dataclasses.replace(touch.geometry, gel=type(touch.geometry.gel)())
+    rigid = dataclasses.replace(touch.geometry, gel=Gel())
     return dataclasses.replace(touch, contact_shape=ContactShape(depth_m, cut_m, shape.deepest_m), geometry=rigid)
 
 
@@ -262,7 +262,9 @@ def _compare(fitted: FittedPose) -> Comparison:
         rough_m = maximum_filter(rough_m, 3)
     reliable = np.ones_like(everywhere.known)
     if image.blur_m or image.distortion:
-        sharp_m = dataclasses.replace(image, blur_m=0.0).draw(fitted.T[None])[0]
+        sharp_m = fitted.model_m
+        if image.blur_m:
+            sharp_m = dataclasses.replace(image, blur_m=0.0).draw(fitted.T[None])[0]
         rough_m = np.maximum(rough_m, BLURRED_EDGE * measure_roughness(np.minimum(sharp_m, image.press_m)))
         noise_m = max(noise_m, BLURRED_M)
         inside = np.pad(image.geometry.observed_mask, 1)

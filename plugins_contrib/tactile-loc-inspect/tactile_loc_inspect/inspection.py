@@ -12,7 +12,7 @@ from tactile_loc.plugin import View
 from tactile_loc.plugin.helpers import transform_points
 
 from tactile_loc_inspect.comparison import Comparison, Floats, compare_touches, fit_plain_pose
-from tactile_loc_inspect.scan import SIZES_M, WIDTH, SurfaceMap, map_differences
+from tactile_loc_inspect.scan import AGREE, SIZES_M, WIDTH, SurfaceMap, map_differences
 
 CERTAIN = "certain"  # the verdict that gives a pose
 MOST_OTHERS = 6  # other poses that are compared
@@ -41,12 +41,14 @@ class Limits:
     """When a difference is reported, for one kind of reading.
 
     `ratio` is the least statistic. `touches` is the least number of touches that alone show the difference, and
-    `bounds` their least number if they only bound it. `shown` is the share of a narrow dent's depth that is read.
+    `bounds` their least number if they only bound it. A touch alone shows it from `agree` standard deviations on.
+    `shown` is the share of a narrow dent's depth that is read.
     """
 
     ratio: float
     touches: int
     bounds: int
+    agree: float = AGREE
     shown: float = 1.0
 
     def are_met(self, one: Difference) -> bool:
@@ -56,7 +58,7 @@ class Limits:
 
 EXACT = Limits(8.0, 1, 1)
 NOISY = Limits(5.0, 2, 3)
-IMAGES = Limits(8.0, 2, 2, 1 / 6)  # a gel bridges narrow dents
+IMAGES = Limits(8.0, 2, 2, agree=2.0, shown=1 / 6)  # a gel bridges narrow dents
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +106,8 @@ class Inspection:
     noisy reading. `detectable_m` is the height of a difference that would have been found with 95 % probability at the
     touched places. `touched` is the share of the surface that enough touches show. `moved_m` is how far the differences
     move an ordinary pose: the largest displacement of a surface point. `refined_m` is how far the refinement moved the
-    given pose. `unexplained` is the share of the touched places that differ. `from_images` states whether a touch was
-    read from an image. `better` is the number of another pose, from 1, that explains the touches better; None if there
-    is none.
+    given pose. `unexplained` is the share of the touched places that differ. `better` is the number of another pose,
+    from 1, that explains the touches better; None if there is none.
     """
 
     object: ObjectModel
@@ -120,7 +121,6 @@ class Inspection:
     moved_m: float
     refined_m: float
     unexplained: float
-    from_images: bool = False
     better: int | None = None
 
     @property
@@ -147,9 +147,9 @@ class Inspection:
             notes.append(
                 f"{100 * self.unexplained:.0f} % of the touched surface differs, so the pose or the model may be wrong"
             )
-        if self.from_images and (self.differences or self.unconfirmed):
+        if self.limits is IMAGES and (self.differences or self.unconfirmed):
             notes.append("the touches are read from images, which may err at edges, so check each difference by eye")
-        if self.from_images and not self.differences:
+        if self.limits is IMAGES and not self.differences:
             notes.append(
                 "the touches are read from images, so small differences cannot be found, and one of the stated height "
                 "is found less often than in 95 %"
@@ -204,8 +204,8 @@ def inspect_part(
     `others` are further poses by their numbers, each in the frames of all touches, that may explain the touches better.
     """
     comparisons, obj = tuple(compare_touches(views, poses)), views[0].scene.object
-    found, pairs = map_differences(comparisons), list(zip(views, comparisons, strict=True))
-    limits = choose_limits(comparisons)
+    limits, pairs = choose_limits(comparisons), list(zip(views, comparisons, strict=True))
+    found = map_differences(comparisons, limits.agree)
     listed = list_differences(found, limits)
     enough = [one for one in listed if limits.are_met(one)]
     stated_m = state_heights(found, limits)
@@ -222,7 +222,6 @@ def inspect_part(
         max(measure_motion(obj, fit_plain_pose(view, one.T), one.T) for view, one in pairs) if enough else 0.0,
         max(measure_motion(obj, T, one.T) for T, one in zip(poses, comparisons, strict=True)),
         float((np.abs(found.ratios[1]) > limits.ratio).mean()),
-        any(view.touch.image is not None for view in views),
         find_better(views, comparisons, others or {}),
     )
 

@@ -25,7 +25,6 @@ ALIKE_M = 3e-4  # a touch shows a place if its surface there is this near to the
 FACING = 0.5  # cosine of the largest angle between the normals of a place in two touches
 LEAST_SEEN = 0.3  # share of a blob that must be compared
 AGREE = 3.0  # standard deviations by which a touch alone supports a difference
-AGREE_IMAGE = 2.0  # the same, for a touch that was read from an image
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +56,11 @@ class SurfaceMap:
         return self.heights_m / self.std_m
 
 
-def map_differences(comparisons: Sequence[Comparison]) -> SurfaceMap:
-    """Return the map of the differences that several touches show together."""
+def map_differences(comparisons: Sequence[Comparison], agree: float = AGREE) -> SurfaceMap:
+    """Return the map of the differences that several touches show together.
+
+    A touch alone supports a difference of at least `agree` standard deviations.
+    """
     places = [_list_places(one) for one in comparisons]
     points, normals, areas = (np.concatenate(parts) for parts in zip(*places, strict=True))
     voxels = np.floor(np.column_stack([points / VOXEL_M, 2 * normals + 0.5])).astype(np.int64)
@@ -82,7 +84,6 @@ def map_differences(comparisons: Sequence[Comparison]) -> SurfaceMap:
     pooled = (heights * weights).sum(axis=0) / total
     std = np.where(np.isfinite(variances).any(axis=0), 1 / np.sqrt(total), np.inf)
     alone = heights * np.sqrt(weights) * np.sign(pooled)
-    agree = AGREE_IMAGE if any(one.from_image for one in comparisons) else AGREE
     counted = np.maximum(np.isfinite(variances[:, 1]).sum(axis=0), 1)
     return SurfaceMap(
         points,

@@ -97,7 +97,7 @@ class Score:
 
     @property
     def points(self) -> float:
-        """The score, 0 to 100: the mean of the points for the shape and for the heights. No refusal adds points."""
+        """The score, 0 to 100: the mean of the points for the shape and for the heights."""
         return (self.shape_points + self.height_points) / 2
 
     def _weigh(self, located: bool = False) -> Iterator[tuple[ScoredPress, float]]:

@@ -17,16 +17,22 @@ def run_program(text: str, name: str) -> None:
     exec(compile(program, name, "exec"), {})
 
 
-@pytest.mark.slow
-def test_the_commands_of_the_page_make_and_score_the_object(cli, monkeypatch, store_folder):
+@pytest.fixture
+def score_words(cli, monkeypatch, store_folder) -> list[str]:
+    """The words of the page's command that scores the photos, after its other command and its program ran."""
     monkeypatch.setenv("TACTILE_LOC_STORE", str(store_folder))
     page = read_page("test-object.md")
     make, *_, score = list_commands(page)
     succeed(cli(*make[1:]))
-    assert {path.name for path in Path("object").iterdir()} == {"test-object.stl", "places.csv", "drawing.png"}
     run_program(page, "test-object.md")
+    return list(score[1:])
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_page_make_and_score_the_object(cli, score_words):
+    assert {path.name for path in Path("object").iterdir()} == {"test-object.stl", "places.csv", "drawing.png"}
     PIL.Image.new("L", (7, 7)).save("photos/3b.png")
-    said = json.loads(succeed(cli(*score[1:], "--json")).stdout)
+    said = json.loads(succeed(cli(*score_words, "--json")).stdout)
     assert said["row"]["located"] == 10
     assert said["row"]["photos"] == 11
     assert said["row"]["score"] > 85
@@ -37,15 +43,10 @@ def test_the_commands_of_the_page_make_and_score_the_object(cli, monkeypatch, st
 
 
 @pytest.mark.slow
-def test_photos_with_wrong_numbers_are_named(cli, monkeypatch, store_folder):
-    monkeypatch.setenv("TACTILE_LOC_STORE", str(store_folder))
-    page = read_page("test-object.md")
-    make, *_, score = list_commands(page)
-    succeed(cli(*make[1:]))
-    run_program(page, "test-object.md")
+def test_photos_with_wrong_numbers_are_named(cli, score_words):
     for old, new in (("3", "a"), ("4", "3"), ("a", "4")):
         Path(f"photos/{old}.npz").rename(f"photos/{new}.npz")
-    done = cli(*score[1:], "--json")
+    done = cli(*score_words, "--json")
     said = json.loads(succeed(done).stdout)
     assert said["row"]["located"] == 8
     assert said["row"]["height_scale"] == pytest.approx(1, abs=0.02)

@@ -64,11 +64,6 @@ class ChoiceMedian:
         """The median error."""
         return self.error.median.value
 
-    @property
-    def time_ms(self) -> float:
-        """The median time per touch."""
-        return self.time.median.value
-
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
