@@ -78,7 +78,7 @@ def start_viser(host: str, port: int, access: Access) -> ViserServer:
 
 
 def find_visit(server: ViserServer, client_id: int) -> Visit:
-    """Return what a visitor's browser states about its visit."""
+    """Return a visitor's visit, as its browser states it."""
     connections: dict[int, Any] = getattr(server._websock_server, "_live_connections", {})
     request = getattr(connections.get(client_id), "request", None)
     return Visit() if request is None else Visit.read(request.path)

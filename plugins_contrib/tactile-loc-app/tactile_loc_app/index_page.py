@@ -39,7 +39,7 @@ def brand_page(page: bytes, is_gzipped: bool) -> bytes:
 
 @dataclass(frozen=True)
 class Visit:
-    """What a browser states about its visit: its number, or "", and whether it loads the page again in the same tab."""
+    """A browser's visit: its `number`, or "" if unknown. If it `is_again`, the same tab loads the page again."""
 
     number: str = ""
     is_again: bool = False

@@ -101,8 +101,8 @@ class TouchImage:
     `depth_m` (H, W), metres, is the contact shape. The gel is displaced at the pixels `displaced`, and touches the part
     at those `touching`. `press_m` is the indentation of the part's deepest point, and `cut_m` the press depth.
 
-    A reading from an image is distorted: its `distortion` is the relative error of its heights, and three bends, which
-    are the coefficients of x^2, x y and y^2, metres at the distance BENT_M. It is empty for other readings.
+    A reading from an image is distorted. Its `distortion` is the relative error of its heights, and three bends: the
+    coefficients of x^2, x y and y^2, metres at the distance BENT_M. It is empty for other readings.
     """
 
     scene: Scene
@@ -195,7 +195,7 @@ class FittedPose:
     """A pose `T` (4, 4), metres, the model's depths (H, W), metres, and how the pose's error changes them.
 
     `image` is the touch with its fitted distortion. `J` (6 + D, H, W) are the derivatives of the depths by a twist and
-    by the D numbers of the distortion, and `covariance` (6 + D, 6 + D) is theirs.
+    by the D numbers of the distortion. `covariance` (6 + D, 6 + D) is that of the twist and these numbers.
     """
 
     image: TouchImage

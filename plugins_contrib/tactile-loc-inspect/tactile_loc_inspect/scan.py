@@ -33,10 +33,10 @@ class SurfaceMap:
 
     `points_m` and `normals` (N, 3) are in the object's frame, and `areas_m2` (N,) are the areas that the places stand
     for. For K sizes of blobs, `heights_m` (K, N) are heights along the normal, positive for material that the model
-    lacks, and `std_m` (K, N) their standard deviations, infinite where no touch shows such a blob. `support` (K, N)
-    counts the touches that alone show the difference, `against` (K, N) those that alone show the opposite, and
-    `touches` (N,) those that show the place. Of T touches, each presses the place by `pressed_m` (T, N) metres, or by
-    -inf if it does not show the place.
+    lacks. Their standard deviations `std_m` (K, N) are infinite where no touch shows such a blob. `support` (K, N)
+    counts the touches that alone show the difference, and `against` (K, N) those that alone show the opposite.
+    `touches` (N,) counts those that show the place. Of T touches, each presses the place by `pressed_m` (T, N) metres,
+    or by -inf if it does not show the place.
     """
 
     points_m: Floats
