@@ -5,7 +5,8 @@
     const bytes = crypto.getRandomValues(new Uint8Array(16));
     asked.set("visit", [...bytes].map((one) => one.toString(16).padStart(2, "0")).join(""));
   }
-  const write = () => history.replaceState(null, "", "?" + asked.toString());
+  const replace = history.replaceState.bind(history);
+  const write = () => replace(null, "", "?" + asked.toString());
   const scheme = location.protocol === "https:" ? "wss://" : "ws://";
   const [opened] = performance.getEntriesByType("navigation");
   const again = opened && opened.type === "reload" ? "&again=1" : ""; // not set in a second tab
@@ -13,7 +14,7 @@
   write(); // where viser looks for its server
   asked.delete("websocket");
   asked.delete("token"); // the browser keeps it as a cookie
-  for (const after of [1000, 4000]) setTimeout(write, after);
+  history.replaceState = write; // viser writes the address when it has read it, however slow the browser is
 
   const drawer = '.mantine-Paper-root[style*="position: fixed"]';
   const handle = `${drawer} .mantine-ScrollArea-content > div > div:first-child`;
