@@ -61,18 +61,14 @@ class Presser:
 
     def __init__(self, reading: str, folder: Path) -> None:
         make = SENSORS.get(reading)
-        self.images, self.noise = (
-            make and TaximImages(TaximImages.Options(sensor=make)),
-            make_noise("mild" if reading == "noisy" else "none"),
-        )
+        self.images = make and TaximImages(TaximImages.Options(sensor=make))
+        self.noise = make_noise("mild" if reading == "noisy" else "none")
         place = folder / str(make) / "sensor"
         if self.images and not (place / "sensor.toml").exists():
             self.images.prepare_sensor(place.parent)
         name, options = ("calibrated", {"path": str(place)}) if self.images else ("gelsight-mini", {})
-        self.sensor, self.renderer = (
-            registry().create("sensor", name, options),
-            registry().create("renderer", "raycast", {}),
-        )
+        self.sensor = registry().create("sensor", name, options)
+        self.renderer = registry().create("renderer", "raycast", {})
         self.geometry = replace(self.sensor.geometry, gel=GEL) if reading == "elastic" else self.sensor.geometry
 
     def press(self, obj: ObjectModel, spot: Spot, rng: np.random.Generator) -> Touch | None:
