@@ -252,6 +252,23 @@ def test_visitors_press_locate_and_export(tmp_path, store):
 
 
 @pytest.mark.slow
+def test_the_server_knows_the_visit_of_a_slow_browser(tmp_path, store):
+    require_browser()
+    from tactile_loc_app.server import AppServer
+
+    with AppServer(CONFIG, port=0, store=store) as server:
+        visitor = program.Visitor("about:blank", tmp_path)
+        try:
+            visitor.browser.execute_cdp_cmd("Emulation.setCPUThrottlingRate", {"rate": 8})
+            visitor.browser.get(server.url)
+            program.await_page(server, visitor)
+            (number,) = server._visits.values()
+            assert visitor.browser.current_url == f"{server.url}/?visit={number}"
+        finally:
+            visitor.close()
+
+
+@pytest.mark.slow
 def test_the_view_fills_a_phone_below_a_card_that_nothing_covers(tmp_path, store):
     require_browser()
     from tactile_loc_app.server import AppServer
