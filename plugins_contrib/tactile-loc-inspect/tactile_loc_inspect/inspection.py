@@ -55,6 +55,10 @@ class Limits:
         """Return whether enough touches show a difference."""
         return one.touches >= (self.bounds if one.at_least else self.touches)
 
+    def count_shown(self, of: int) -> int:
+        """Return how many of a part's touches must show a place, so that any difference there is reported."""
+        return max(self.touches, min(self.bounds, of))
+
 
 EXACT = Limits(8.0, 1, 1)
 NOISY = Limits(5.0, 2, 3)
@@ -184,11 +188,13 @@ class Inspection:
             return f"pose {self.better} explains the touches better, so no difference is reported{where}"
         width = 1e3 * STATED_WIDTH_M
         if self.verdict == "not enough touches":
-            if self.limits.touches == 1:
-                return f"not enough touches: no contact is wide enough to find differences {width:.1f} mm wide"
-            return (
-                f"not enough touches: the reading has errors, so {self.limits.touches} touches must show the same place"
-            )
+            count = self.limits.count_shown(len(self.comparisons))
+            if count == 1 or (self.map.touches >= count).any():
+                return (
+                    f"not enough touches: no contact is wide and deep enough to find differences {width:.1f} mm wide; "
+                    "press deeper"
+                )
+            return f"not enough touches: the reading has errors, so {count} touches must show the same place"
         if not self.differences:
             within = f"{1e3 * self.detectable_m:.2f} mm at the touched places (differences {width:.1f} mm wide)"
             more = f"; unconfirmed differences: {len(self.unconfirmed)}" if self.unconfirmed else ""
@@ -243,7 +249,7 @@ def state_heights(found: SurfaceMap, limits: Limits) -> Floats:
     stated = (STATED_WIDTH_M / WIDTH) ** 2
     shares = stated / (stated + np.square(SIZES_M))
     heights_m = MARGIN * ((limits.ratio + FOUND_SHARE) * found.std_m / shares[:, None]).min(axis=0)
-    count = max(limits.touches, min(limits.bounds, len(found.pressed_m)))
+    count = limits.count_shown(len(found.pressed_m))
     if count > len(found.pressed_m):
         return np.full(len(heights_m), np.inf)
     return np.where(np.sort(found.pressed_m, axis=0)[-count] > heights_m, heights_m / limits.shown, np.inf)

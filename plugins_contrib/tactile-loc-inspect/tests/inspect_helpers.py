@@ -32,7 +32,9 @@ def make_dome() -> trimesh.Trimesh:
     return trimesh.creation.icosphere(5, 6.0).apply_translation(1e3 * TOP_M + [0, 0, 0.9 - 6.0])
 
 
-def press(part: ObjectModel, seed: int = 0, count: int = 2, model: ObjectModel | None = None) -> list[View]:
+def press(
+    part: ObjectModel, seed: int = 0, count: int = 2, model: ObjectModel | None = None, press_m: float = PRESS_M
+) -> list[View]:
     """Return views of a model, by default the plate, with touches of a `part` on the step, drawn by the z-buffer."""
     rng, model, geometry = np.random.default_rng(seed), model or make_plate(), GEOMETRY
     source = RobotTouches(part, geometry, registry().create("renderer", "zbuffer", {}))
@@ -42,7 +44,7 @@ def press(part: ObjectModel, seed: int = 0, count: int = 2, model: ObjectModel |
         T = exponential(np.r_[rng.normal(size=3) * 0.02, 0, 0, 0], np.zeros(3)) @ np.diag([1.0, -1, -1, 1])
         aside = np.array([*rng.normal(size=2), 0]) * 5e-4
         T[:3, 3] = TOP_M + aside - T[:3, :3] @ [0, 0, geometry.standoff_m + 5e-3]
-        touch = source.approach(T, PRESS_M, f"touch-{number}", rng)
+        touch = source.approach(T, press_m, f"touch-{number}", rng)
         assert touch is not None
         views.append(View(touch, Scene(model, touch.geometry, mine)))
     return views

@@ -65,3 +65,11 @@ def test_images_state_a_larger_height():
     by_image, by_depth = (inspect_part(some, misplace(views)) for some in (views, drop_images(views)))
     assert by_image.verdict == by_depth.verdict == "as the model"
     assert by_image.detectable_m > 4 * by_depth.detectable_m
+
+
+def test_light_presses_of_one_place_are_told_from_a_single_touch():
+    views = [read_wrongly(view) for view in press(make_plate(), press_m=1e-4)]
+    light, alone = (inspect_part(some, misplace(some)) for some in (views, views[:1]))
+    assert light.verdict == alone.verdict == "not enough touches"
+    assert light.map.touches.max() == 2
+    assert light.describe() != alone.describe()
