@@ -33,11 +33,8 @@ class ListedTouches(TrainingTouches):
     def __len__(self) -> int:
         return len(self.labels)
 
-    def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
-        """Draw `count` different touches with noise, at random press depths.
-
-        There are no decoys, because touches are not rotated for a comparison with listed poses.
-        """
+    def batch(self, count: int, rng: np.random.Generator, press_m: float) -> TrainingBatch:
+        """Draw `count` different touches with noise, at random press depths."""
         chosen = np.sort(rng.choice(len(self), count, replace=False))
         deepest = self.geometry.max_depth_m
         press = self.noise.draw_press(count, deepest, rng)
@@ -45,9 +42,7 @@ class ListedTouches(TrainingTouches):
         shown = deform_gel(self.depth_m[chosen], press, self.geometry)
         depth = self.noise.cut(self.noise.corrupt(shown, press, self.geometry, rng), press, measured)
         seen = np.broadcast_to(self.geometry.observed_mask, depth.shape)
-        return TrainingBatch(
-            depth[:, None], seen[:, None], measured, self.labels[chosen], np.ones((count, 1), np.bool_)
-        )
+        return TrainingBatch(depth, seen, measured, self.labels[chosen])
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,7 @@
 """Training data for encoders with a search of places: each key is the complete patch of a place.
 
 A touch is seen as in the search. Its patch is around its deepest point, and only as large as the sensor sees. The patch
-is rotated back by the yaw that brings the touch nearest to one of the places. The search tries all yaws, so decoys are
-rotated by other yaws.
+is rotated back by the yaw that brings the touch nearest to one of the places.
 
 The nearest place of a pose may be rotated by any yaw about the sensor's z axis. Write phi(T) of the pose metric as a
 matrix P (3, k), with one column for each axis of the object's spread and one for its centroid. A rotation by a yaw
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.core.geometry.rigid import Bools, Float32, Floats, Ints, Poses, invert, make_transform
-from tactile_loc.core.places.places import CAMERA, HIGHEST_M, PATCH_PX, PITCH_M, PRESS_STEP_M, Places
+from tactile_loc.core.places.places import CAMERA, HIGHEST_M, PITCH_M, PRESS_STEP_M, Places
 from tactile_loc.core.places.rotated_patches import find_anchor, rotate_patches
 from tactile_loc.core.poses.metric import PoseGrid, PoseMetric
 from tactile_loc.core.runtime.errors import ConfigError, GridError, TouchError
@@ -40,7 +39,6 @@ KEYS = 1024  # keys per shard
 PIXEL_M = 0.8 * PITCH_M  # largest pixel size of the touches
 LIGHTEST = 0.25  # lightest press, as a share of the maximal depth
 REACH = 2.0  # grid spacings; a touch that is farther from all places is not used
-CLEAR = 2  # least number of yaw steps between a correctly rotated touch and its decoys
 MOST_ROUNDS = 50
 
 
@@ -190,28 +188,21 @@ class PlaceTouches(TrainingTouches):
     def __len__(self) -> int:
         return len(self.depth_m)
 
-    def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
+    def batch(self, count: int, rng: np.random.Generator, press_m: float) -> TrainingBatch:
         """Draw `count` different touches with noise. Their measured presses are at most a step deeper than `press_m`.
 
-        Each touch has `decoys` decoys. A touch gets no noise if the noise would hide it or move it away from all
-        places.
+        A touch gets no noise if the noise would hide it or move it away from all places.
         """
         problem, chosen = self.problem, np.sort(rng.choice(len(self), count, replace=False))
         touches, labels = self._make_noisy(chosen, rng, press_m)
-        step_rad, poses = float(2 * np.pi / problem.sampler.options.turns), self.T_sensor_object[chosen]
-        yaw_rad = np.empty((count, 1 + decoys))
-        yaw_rad[:, 0] = labels.yaw_rad + step_rad * rng.uniform(-0.5, 0.5, count)
-        away_rad = rng.uniform(CLEAR * step_rad, 2 * np.pi - CLEAR * step_rad, (count, decoys))
-        yaw_rad[:, 1:] = labels.yaw_rad[:, None] + away_rad
-        off_m = problem.rotated.distances(move_to_anchors(touches, poses), labels.numbers, yaw_rad)
-        counts = off_m > labels.off_m[:, None] + 0.25 * problem.reach_m
-        counts[:, 0] = True
-        depth_m = np.empty((*yaw_rad.shape, PATCH_PX, PATCH_PX), np.float32)
-        seen = np.empty(depth_m.shape, np.bool_)
-        for k, touch in enumerate(touches):
-            depth_m[k], seen[k] = rotate_patches(touch, *find_anchor(touch), yaw_rad[k], touch.find_known(press_m))
-        depth_m = np.minimum(depth_m, np.float32(press_m))
-        return TrainingBatch(depth_m, seen, np.full(count, press_m), labels.numbers, counts)
+        step_rad = float(2 * np.pi / problem.sampler.options.turns)
+        yaw_rad = labels.yaw_rad + step_rad * rng.uniform(-0.5, 0.5, count)
+        turned = [
+            rotate_patches(touch, *find_anchor(touch), yaw_rad[[k]], touch.find_known(press_m))
+            for k, touch in enumerate(touches)
+        ]
+        depth_m, seen = (np.concatenate(parts) for parts in zip(*turned, strict=True))
+        return TrainingBatch(np.minimum(depth_m, np.float32(press_m)), seen, np.full(count, press_m), labels.numbers)
 
     def _make_noisy(self, chosen: Ints, rng: np.random.Generator, press_m: float) -> tuple[list[Touch], Labels]:
         """Return the touches `chosen` (M,) with noise, or without it if noise would spoil them, and their labels."""
@@ -290,20 +281,6 @@ class RotatedPoses:
             least, index = np.where(better, squared, least), np.where(better, best, index)
             yaw_rad = np.where(better, np.angle(rotated[rows, best]), yaw_rad)
         return np.sqrt(np.maximum(least, 0.0)), index, yaw_rad
-
-    def distances(self, T_sensor_object: Poses, numbers: Ints, yaw_rad: Floats) -> Floats:
-        """Return the distances (M, V), metres, of poses (M, 4, 4) from the poses `numbers` (M,) at yaws (M, V), rad.
-
-        Distances are up to the object's symmetry.
-        """
-        least = np.full(yaw_rad.shape, np.inf)
-        ours, heights = self._across[numbers], self._along[numbers]
-        for phi in self.metric.embed_orbits(T_sensor_object):
-            across, along = _rows(phi)
-            rotated = np.einsum("mk,mk->m", across, ours.conj())[:, None]
-            trace = (rotated * np.exp(-1j * yaw_rad)).real + np.einsum("mk,mk->m", along, heights)[:, None]
-            least = np.minimum(least, (self._squared[numbers] + _squared(across, along))[:, None] - 2 * trace)
-        return np.asarray(np.sqrt(np.maximum(least, 0.0)))
 
 
 def _rows(phi: Floats) -> tuple[NDArray[np.complex128], Floats]:

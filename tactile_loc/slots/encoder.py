@@ -32,19 +32,16 @@ class Checkpoints:
 
 @dataclass(frozen=True, eq=False)
 class TrainingBatch:
-    """B noisy touches with labels, each in V views. V is at least one.
+    """B noisy touches with labels.
 
-    `depth_m` (B, V, H, W) are contact depths, metres, cut at the press depths `press_m` (B,). `seen` (B, V, H, W) marks
-    the pixels that the sensor observes. `labels` (B,) are the numbers of the keys nearest to the true poses. View 0
-    matches the key. The other views are decoys: the same touch, rotated so that no key of this object explains it. A
-    decoy can match a key by symmetry; `counts` (B, V) is False for such a decoy, and True for all other views.
+    `depth_m` (B, H, W) are contact depths, metres, cut at the press depths `press_m` (B,). `seen` (B, H, W) marks the
+    pixels that the sensor observes. `labels` (B,) are the numbers of the keys nearest to the true poses.
     """
 
     depth_m: Float32
     seen: Bools
     press_m: Floats
     labels: Ints
-    counts: Bools
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -58,11 +55,8 @@ class TrainingTouches(ABC):
         """Return the number of touches."""
 
     @abstractmethod
-    def batch(self, count: int, rng: np.random.Generator, press_m: float, decoys: int = 0) -> TrainingBatch:
-        """Draw `count` different touches, for comparison with keys that are cut at `press_m` metres.
-
-        If touches are rotated for the comparison, each touch has `decoys` decoys.
-        """
+    def batch(self, count: int, rng: np.random.Generator, press_m: float) -> TrainingBatch:
+        """Draw `count` different touches, for comparison with keys that are cut at `press_m` metres."""
 
 
 class TrainingProblem(ABC):

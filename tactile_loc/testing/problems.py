@@ -319,13 +319,8 @@ def make_training_problem() -> TrainingProblem:
     return ListedProblem(grid, scene, sampler, lambda: iter([shapes]))
 
 
-def make_place_training_problem(symmetry: str = "none") -> PlaceProblem:
-    """Return a tiny training problem with an object's places, for the checks' object and camera.
-
-    The declared `symmetry` need not be that of the object.
-    """
-    obj = make_block()
-    obj = dataclasses.replace(obj, symmetry=SymmetryGroup.parse(symmetry, obj.mesh.centroid_m))
-    scene = Scene(obj, LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
+def make_place_training_problem() -> PlaceProblem:
+    """Return a tiny training problem with an object's places, for the checks' object and camera."""
+    scene = Scene(make_block(), LOPSIDED_CAMERAS["orthographic"], ReferenceRenderer())
     sampler = registry().create("grid", "whole", {"directions": 100})
-    return PlaceProblem(sampler.places(obj, Progress()), scene, sampler)
+    return PlaceProblem(sampler.places(scene.object, Progress()), scene, sampler)

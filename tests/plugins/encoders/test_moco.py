@@ -257,28 +257,6 @@ def test_weight_files_without_a_plane_count_have_one_plane(problem, learned, tmp
     assert same(learned, other)
 
 
-def test_decoys_count_as_wrong_answers_unless_they_are_equivalent(places):
-    encoder, problem = places
-    network = encoder._make_network(0, True)
-    trainer = training.Trainer(encoder.recipe, problem, network, torch.device("cpu"), decoys=2)
-    batch = problem.draw(4, make_noise("none"), np.random.default_rng(0)).batch(4, np.random.default_rng(1), 1e-3, 2)
-    batch = dataclasses.replace(batch, counts=np.array([[True, True, False]] * 4))
-    keys = trainer._keys(trainer.key_network, 1e-3)
-    scores = trainer._scores(trainer._embed(batch), keys, batch).reshape(4, 3, len(problem))
-    assert torch.isfinite(scores[:, :2]).all()
-    assert (scores[:, 2] == -torch.inf).all()
-    assert np.isfinite(trainer._step(batch, keys, 0, np.random.default_rng(2)))
-
-
-@pytest.mark.slow
-def test_decoys_change_the_learned_weights_and_the_key(places):
-    encoder, problem = places
-    other = make(**PLACES, decoys=2)
-    other.fit(problem)
-    assert not same(encoder, other)
-    assert encoder.describe() != other.describe()
-
-
 @pytest.mark.slow
 def test_the_encoder_learns_to_distinguish_places(places):
     _, problem = places
@@ -288,6 +266,6 @@ def test_the_encoder_learns_to_distinguish_places(places):
     press_m = float(problem.key_presses_m[-1])
     batch = problem.draw(60, make_noise("none"), np.random.default_rng(7)).batch(60, np.random.default_rng(8), press_m)
     keys = encoder.encode(np.concatenate(list(problem.clean_keys(press_m))), press_m, problem.geometry)
-    vectors, _ = encoder.encode_seen(batch.depth_m[:, 0], batch.seen[:, 0], press_m, problem.geometry)
+    vectors, _ = encoder.encode_seen(batch.depth_m, batch.seen, press_m, problem.geometry)
     ranks = (vectors @ keys.T > np.sum(vectors * keys[batch.labels], axis=1)[:, None]).sum(axis=1)
     assert np.median(ranks) < 0.025 * len(problem), "an untrained network reaches 0.04 and more"

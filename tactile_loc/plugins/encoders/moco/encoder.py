@@ -64,9 +64,6 @@ class MocoEncoder(Encoder):
         negatives: int = Field(
             default=0, ge=0, description="random grid poses in the softmax of each step; 0: the whole grid"
         )
-        decoys: int = Field(
-            default=0, ge=0, le=15, description="whole grid: wrongly rotated views of each training touch"
-        )
         patience: int = Field(default=8, ge=1, description="epochs without a better validation before stopping early")
         seed: int = Field(default=0, ge=0, description="seed of the training")
         pretrained: str | None = Field(default=None, description="weights to start from, a .safetensors file")
@@ -115,7 +112,7 @@ class MocoEncoder(Encoder):
                 recipe, **{name: value for name, value in PLACES.items() if getattr(options, name) is None}
             )
         network = self._make_network(options.seed, problem.partly_seen)
-        trainer = Trainer(recipe, problem, network, self.device, options.decoys)
+        trainer = Trainer(recipe, problem, network, self.device)
         self._network = trainer.run()
 
     def encode(self, depth_m: Float32, press_depth_m: float, geometry: SensorGeometry) -> Float32:

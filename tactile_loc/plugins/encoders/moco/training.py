@@ -50,16 +50,13 @@ class Trainer:
     gives the same result as an uninterrupted training.
     """
 
-    def __init__(
-        self, recipe: Recipe, problem: TrainingProblem, network: Backbone, device: torch.device, decoys: int = 0
-    ) -> None:
-        """Prepare a training. `decoys` is the number of wrongly rotated views of each touch, for the grid `whole`."""
+    def __init__(self, recipe: Recipe, problem: TrainingProblem, network: Backbone, device: torch.device) -> None:
         self.recipe, self.problem, self.device = recipe, problem, device
         self.network = network.to(device)
         self.key_network = copy.deepcopy(self.network).requires_grad_(False)
         self.optimizer = _make_optimizer(recipe, self.network)
         self.noise = make_noise(recipe.noise)
-        self.batch, self.decoys = min(recipe.queries, recipe.batch), decoys
+        self.batch = min(recipe.queries, recipe.batch)
         self.steps = recipe.repeats * max(1, recipe.queries // recipe.batch)
         self.epoch, self.best, self.stale = 0, math.inf, 0
         self.best_weights = _copy_weights(self.network)
@@ -117,7 +114,7 @@ class Trainer:
     def _make_batch(self, queries: TrainingTouches, step: int) -> tuple[TrainingBatch, np.random.Generator]:
         """Return the touches of a step, with new noise, and the generator of the step's random numbers."""
         rng = np.random.default_rng([self.recipe.seed, self.epoch, 2, 0, step])
-        return queries.batch(self.batch, rng, self._draw_press(self._find_refresh(step)), self.decoys), rng
+        return queries.batch(self.batch, rng, self._draw_press(self._find_refresh(step))), rng
 
     def _find_refresh(self, step: int) -> int:
         """Return the last step, up to `step`, before which the keys are encoded again."""
@@ -136,7 +133,7 @@ class Trainer:
         targets = torch.from_numpy(batch.labels).to(self.device)
         if self.recipe.negatives and self.recipe.negatives < len(keys):
             keys, targets = _sample_keys(keys, targets, self.recipe.negatives, rng)
-        loss = F.cross_entropy(self._scores(vectors, keys, batch), targets)
+        loss = F.cross_entropy(self._scores(vectors, keys), targets)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
@@ -149,20 +146,14 @@ class Trainer:
         return self.recipe.rate * warm * (0.505 + 0.495 * math.cos(math.pi * epochs_done / self.recipe.epochs))
 
     def _embed(self, batch: TrainingBatch) -> torch.Tensor:
-        """Return the unit vectors (B * V, D) of a batch's views, grouped by touch."""
-        size = batch.depth_m.shape[2:]
-        depth_m, press_m = batch.depth_m.reshape(-1, *size), np.repeat(batch.press_m, batch.depth_m.shape[1])
-        known = batch.seen.reshape(-1, *size) if self.problem.partly_seen else None
-        shapes = torch.from_numpy(depth_m).to(self.device)
-        return self.recipe.embed(self.network, shapes, press_m, self.problem.geometry, known)
+        """Return the unit vectors (B, D) of a batch's touches."""
+        known = batch.seen if self.problem.partly_seen else None
+        shapes = torch.from_numpy(batch.depth_m).to(self.device)
+        return self.recipe.embed(self.network, shapes, batch.press_m, self.problem.geometry, known)
 
-    def _scores(self, vectors: torch.Tensor, keys: torch.Tensor, batch: TrainingBatch) -> torch.Tensor:
-        """Return the similarity (B, V * N) of each touch's views to each of N keys, with the correct view first."""
-        scores = vectors.float() @ keys.T / self.recipe.temperature
-        if batch.counts.all():
-            return scores.reshape(len(batch), -1)
-        counts = torch.from_numpy(batch.counts).to(self.device)
-        return scores.reshape(*counts.shape, -1).masked_fill(~counts[..., None], -math.inf).flatten(1)
+    def _scores(self, vectors: torch.Tensor, keys: torch.Tensor) -> torch.Tensor:
+        """Return the similarity (B, N) of each touch to each of N keys."""
+        return vectors.float() @ keys.T / self.recipe.temperature
 
     @torch.no_grad()
     def _keys(self, network: nn.Module, press_m: float) -> torch.Tensor:
@@ -199,11 +190,11 @@ class Trainer:
         some_m = presses_m[np.linspace(0, len(presses_m) - 1, min(len(presses_m), VALIDATION_PRESSES)).astype(int)]
         losses, errors_m = [], []
         for press_m in some_m:
-            batch = validation.batch(len(validation) // len(some_m), rng, press_m, self.decoys)
+            batch = validation.batch(len(validation) // len(some_m), rng, press_m)
             keys = self._keys(self.network, press_m)
-            scores = self._scores(self._embed(batch), keys, batch)
+            scores = self._scores(self._embed(batch), keys)
             losses.append(float(F.cross_entropy(scores, torch.from_numpy(batch.labels).to(self.device))))
-            found = scores.argmax(dim=1).cpu().numpy() % len(keys)
+            found = scores.argmax(dim=1).cpu().numpy()
             errors_m.append(self.problem.key_distances(found, batch.labels))
         return float(np.mean(losses)), float(np.median(np.concatenate(errors_m)))
 
