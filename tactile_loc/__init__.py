@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from tactile_loc.evaluation.jobs import QueuedJob as QueuedJob
     from tactile_loc.evaluation.jobs import resume_jobs as resume_jobs
     from tactile_loc.evaluation.metrics import PoseJudge as PoseJudge
-    from tactile_loc.evaluation.recall.bop import BopScene as BopScene
-    from tactile_loc.evaluation.recall.bop import write_bop as write_bop
     from tactile_loc.evaluation.robot_touches import RobotTouches as RobotTouches
     from tactile_loc.evaluation.summary import ExampleSummary as ExampleSummary
     from tactile_loc.evaluation.sweep.plan import Plan as Plan

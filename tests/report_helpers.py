@@ -79,18 +79,16 @@ def make_recall_runs(names: tuple[str, ...] = ("pin", "hook"), examples: int = 1
     for seed, (name, noise) in enumerate(itertools.product(names, ("none", "strong"))):
         rng, count = np.random.default_rng(seed), 2 * examples
         errors_m = 10 ** rng.uniform(-4.5, -1.5, (count, 4, len(RECALL_METRICS)))
-        probabilities = np.sort(rng.uniform(0, 0.5, (count, 4)))[..., ::-1].copy()
-        poses = np.broadcast_to(np.eye(4), (count, 4, 4, 4)).copy()
+        probability = rng.uniform(0, 0.5, (count, 4)).max(axis=1)
         verdict = rng.choice(["certain", "ambiguous"], count)
         problem, seconds = np.full(count, "", "U40"), rng.uniform(0.1, 1, count)
-        errors_m[2:4], poses[2:4], probabilities[2:4], seconds[2:4] = np.inf, np.nan, np.nan, np.nan
+        errors_m[2:4], probability[2:4], seconds[2:4] = np.inf, np.nan, np.nan
         verdict[2:4], problem[2:4] = "refused", "the file is damaged"
         table = ExampleTable.make(
             {
                 **name_errors(np.stack([errors_m[:, 0], errors_m.min(axis=1)], 1), ("first", "listed"), RECALL_METRICS),
-                "T_sensor_object": poses, "probabilities": probabilities, "probability": probabilities[:, 0],
+                "probability": probability,
                 "verdict": verdict, "problem": problem, "determined": rng.random(count) < 0.7, "seconds": seconds,
-                "T_true": poses[:, 0],
             },
             object=name, symmetry="z2", diameter_m=0.05, encoder="pixel", noise=noise, seed=5, refused=1,
             example=np.repeat(np.arange(examples), 2), touches=np.tile([1, 3], examples),

@@ -104,14 +104,13 @@ def _require_located(table: ExampleTable) -> None:
 
 def _report(runs: Sequence[EvaluatedRun], about: dict[str, Any], asked: Asked) -> dict[str, Any]:
     """Write the results, print the tables, and return the results as JSON values."""
-    from tactile_loc.evaluation.recall.bop import make_scenes, write_bop
     from tactile_loc.evaluation.recall.tables import collect_answers
     from tactile_loc.evaluation.table import join_runs
 
     table, heading = join_runs(runs), _write_heading(about)
     _require_located(table)
     found = collect_answers(runs, about, heading)
-    written = [*found.write(asked.out), *write_bop(asked.out, make_scenes(table))]
+    written = found.write(asked.out)
     say_results(found, left=2, name_encoders=False)
     _say_left_out(table)
     return summarise_results(found, written)

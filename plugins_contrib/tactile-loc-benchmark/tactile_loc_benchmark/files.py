@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pyarrow
 from pyarrow import parquet
-from tactile_loc import BopScene, format_markdown, write_bop, write_texts
+from tactile_loc import format_markdown, write_texts
 from tactile_loc.commands import write_atomically
 from tactile_loc.plugin import ConfigError
 
+from tactile_loc_benchmark.bop_files import write_bop
 from tactile_loc_benchmark.job import Row
 from tactile_loc_benchmark.leaderboard import read_document, record_leaderboard
 from tactile_loc_benchmark.results import Results, UsedMethod, UsedSource
@@ -47,8 +48,7 @@ def write_benchmark(out: Path, results: Results, pictures: Sequence[Mapping[str,
     if results.rows:
         written += write_texts(out, "leaderboard", record_leaderboard(results))
         written.append(write_rows(out / ROWS, list_rows(results)))
-        ids, *_ = write_bop(out, make_scenes(results.rows), "benchmark")
-        written.append(ids.parent)
+        written.append(write_bop(out, results.rows))
     return written
 
 
@@ -143,24 +143,6 @@ def _read_used(document: Mapping[str, Any], kind: str, entry: SuiteEntry) -> dic
 def list_rows(results: Results) -> list[Row]:
     """Return all rows, without the listed poses."""
     return [{key: value for key, value in row.items() if key not in POSES} for row in results.rows]
-
-
-def make_scenes(rows: Sequence[Row]) -> list[BopScene]:
-    """Return a scene of the BOP benchmark for each source and object; poses are in the base frame."""
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row["source"], row["object"]), []).append(row)
-    scenes = []
-    for (source, name), some in groups.items():
-        T_true = np.full((1 + max(row["example"] for row in some), 4, 4), np.nan)
-        answers: dict[tuple[str, int], list[Any]] = {}
-        for row in some:  # a job's rows are in the order of the examples
-            if "true_T_base_object" in row:  # which every located row has
-                T_true[row["example"]] = row["true_T_base_object"]
-            answer = row.get("T_base_object", ()), row.get("scores", ()), row.get("seconds", np.nan)
-            answers.setdefault((row["method"], row["touches"]), []).append(answer)
-        scenes.append(BopScene(name, {"source": source}, T_true, answers))
-    return scenes
 
 
 def describe_suite(results: Results) -> str:

@@ -28,39 +28,36 @@ from tactile_loc.locate.several_touches import Observation, localize_together
 from tactile_loc.locate.sources.source import STAGE_VERSIONS
 from tactile_loc.store.keys import StageKey
 
-RECALL_VERSION = 3  # increase if verdicts or the method change without a change of key
+RECALL_VERSION = 4  # increase if verdicts or the method change without a change of key
 SHARD = 5  # examples located and saved at once
 ABSENT = ""  # verdict of an example that has too few touches
 
 
 class Located(NamedTuple):
-    """The result of one example located from some of its touches, with up to K listed poses.
+    """The result of one example located from some of its touches.
 
-    `T_sensor_object` (K, 4, 4), metres, are the listed poses in the frame of the example's first sensor, the most
-    probable first, with `probabilities` (K,). `errors_m` (K, M) are their METRICS, metres. Missing poses are NaN, with
-    infinite errors. `verdict` is a verdict's word, "refused", or ABSENT. `problem` is the reason if there is no pose.
-    `determined` is false if a listed wrong pose explains the touches as well as the true pose. `seconds` is the time to
-    locate the example, NaN if there is no pose.
+    `errors_m` (2, M), metres, are the METRICS of the first pose, and the least of all listed poses; infinite without a
+    pose. `probability` is that of the first pose, NaN without one. `verdict` is a verdict's word, "refused", or ABSENT.
+    `problem` is the reason if there is no pose. `determined` is false if a listed wrong pose explains the touches as
+    well as the true pose. `seconds` is the time to locate the example, NaN if there is no pose.
     """
 
-    T_sensor_object: Poses
-    probabilities: Floats
     errors_m: Floats
+    probability: float
     verdict: str
     problem: str
     determined: bool
     seconds: float
 
 
-ARRAYS = (*Located._fields, "T_true", "refused")
+ARRAYS = (*Located._fields, "refused")
 
 
 def evaluate_recall(localizer: Localizer, examples: ExampleSource, together: Sequence[int]) -> ExampleTable:
     """Locate each example from its first n touches, for each n of `together`, and measure all listed poses.
 
     The table has a row for each example and each number of touches that it has. The errors are those of the `first` and
-    the nearest `listed` pose in METRICS. Its further columns are the fields of `Located`, and `T_true` (E, 4, 4),
-    metres, the true poses in the frame of each example's first sensor; NaN if this touch cannot be read.
+    the nearest `listed` pose in METRICS. Its further columns are the fields of `Located`.
 
     The result is kept in the localizer's store, in shards of SHARD examples. An interrupted evaluation resumes. An
     example that cannot be located is kept, with its reason. Raises ConfigError unless all numbers are from 1 to
@@ -77,13 +74,10 @@ def _make_table(
 ) -> ExampleTable:
     """Return the table of the arrays of all examples (E, C, ...), or (E, ...) if they are the same for all touches."""
     shape = arrays["verdict"].shape
-    by_example = {name: np.repeat(arrays[name], len(together), axis=0) for name in ("T_true", "refused")}
     located = {name: arrays[name].reshape(-1, *arrays[name].shape[2:]) for name in Located._fields}
-    errors_m = located.pop("errors_m")
-    both = np.stack([errors_m[:, 0], errors_m.min(axis=1)], axis=1)
     table = ExampleTable.make(
-        {**name_errors(both, ("first", "listed"), METRICS), **located, **by_example},
-        probability=located["probabilities"][:, 0],
+        {**name_errors(located.pop("errors_m"), ("first", "listed"), METRICS), **located},
+        refused=np.repeat(arrays["refused"], len(together)),
         object=localizer.object.name,
         symmetry=str(localizer.object.symmetry),
         diameter_m=PoseJudge(localizer.object).diameter_m,
@@ -135,9 +129,7 @@ class _ExampleLocator:
                     advance(1)
                 rows.append(row)
         columns = [np.array([[getattr(one, name) for one in row] for row in rows]) for name in Located._fields]
-        firsts = [example.observations[:1] for example in drawn]  # none if this touch cannot be read
-        truths = np.array([require_true_pose(one[0][1]) if one else np.full((4, 4), np.nan) for one in firsts])
-        return [*columns, truths, np.array([example.refused for example in drawn])]
+        return [*columns, np.array([example.refused for example in drawn])]
 
     @cached_property
     def warm(self) -> bool:
@@ -163,19 +155,15 @@ class _ExampleLocator:
             return self._fail(LocatedFrame.of_error(error).word, str(error))
         seconds = time.perf_counter() - start
         listed = found.hypotheses[: self.localizer.config.top]
-        poses, k = _view_from_first(some, found)[: len(listed)], len(listed)
+        poses = _view_from_first(some, found)[: len(listed)]
         errors_m = self._judge.measure_errors(poses, require_true_pose(some[0][1]))
         determined = is_determined(some, listed, errors_m[:, METRICS.index("mssd")])
-        located = self._fail(found.verdict.value, "")
-        located.T_sensor_object[:k], located.errors_m[:k] = poses, errors_m
-        located.probabilities[:k] = [hypothesis.probability for hypothesis in listed]
-        return located._replace(determined=determined, seconds=seconds)
+        both_m = np.stack([errors_m[0], errors_m.min(axis=0)])
+        return Located(both_m, listed[0].probability, found.verdict.value, "", determined, seconds)
 
     def _fail(self, verdict: str, problem: str) -> Located:
         """Return the result of an example without a pose. It counts as determined."""
-        most = self.localizer.config.top
-        missing = np.full((most, 4, 4), np.nan), np.full(most, np.nan), np.full((most, len(METRICS)), np.inf)
-        return Located(*missing, verdict, problem, True, np.nan)
+        return Located(np.full((2, len(METRICS)), np.inf), np.nan, verdict, problem, True, np.nan)
 
     @cached_property
     def _judge(self) -> PoseJudge:
