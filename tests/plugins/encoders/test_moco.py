@@ -247,16 +247,6 @@ def some_seen(problem, rng):
     return keys, rng.random(keys.shape) < 0.7
 
 
-def test_weight_files_without_a_plane_count_have_one_plane(problem, learned, tmp_path):
-    from safetensors.torch import save_file
-
-    state = {name: tensor.contiguous() for name, tensor in learned._network.state_dict().items()}
-    save_file(state, tmp_path / "old.safetensors")
-    other = make()
-    other.load_weights(tmp_path / "old.safetensors")
-    assert same(learned, other)
-
-
 @pytest.mark.slow
 def test_the_encoder_learns_to_distinguish_places(places):
     _, problem = places

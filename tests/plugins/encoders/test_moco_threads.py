@@ -34,7 +34,7 @@ localizer = Localizer.create(
 localizer.source.describe_scores()
 learned = {name: weights.numpy() for name, weights in localizer.encoder._network.state_dict().items()}
 (touch,) = localizer.simulate(1)
-((_, scores),) = localizer.source.score([touch], StageTimes())
+_, scores = localizer.source.score(touch, StageTimes())
 print(before, torch.get_num_threads(), hash_arrays(**learned), hash_arrays(scores=scores))
 """
 

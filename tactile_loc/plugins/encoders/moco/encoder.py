@@ -30,11 +30,11 @@ from tactile_loc.plugin import (
     WeightsError,
 )
 from tactile_loc.plugin.helpers import NoiseLevel
-from tactile_loc.plugins.encoders.moco.backbones import Backbone, load_pretrained, make_backbone
+from tactile_loc.plugins.encoders.moco.backbones import Backbone, BackboneName, make_backbone
 from tactile_loc.plugins.encoders.moco.recipe import PRESETS, Recipe, Signal
 from tactile_loc.plugins.encoders.moco.training import Trainer
 
-PLANES = "planes"  # key of the number of input planes in the weights file; older files have none
+PLANES = "planes"  # key of the number of input planes in the weights file
 # preset "cpu" for a grid of places: small steps learn faster
 PLACES: dict[str, Any] = {"batch": 64, "queries": 1024, "epochs": 8}
 NEUTRAL: dict[str, JsonValue] = {"neutral": True}
@@ -53,7 +53,7 @@ class MocoEncoder(Encoder):
         """A preset, and changes to it (None keeps the preset's value)."""
 
         preset: Literal["cpu", "paper"] = Field(default="cpu", description="cpu: minutes on 2 cores; paper: for a GPU")
-        backbone: Literal["small", "resnet18", "resnet50"] | None = Field(default=None, description="the network")
+        backbone: BackboneName | None = Field(default=None, description="the network")
         channels: int | None = Field(default=None, ge=1, le=2048, description="channels of the map kept as the vector")
         signal: Signal | None = Field(default=None, description="the contact mask only, or the depth as well")
         epochs: int | None = Field(default=None, ge=1, description="epochs, each with new touches")
@@ -66,7 +66,6 @@ class MocoEncoder(Encoder):
         )
         patience: int = Field(default=8, ge=1, description="epochs without a better validation before stopping early")
         seed: int = Field(default=0, ge=0, description="seed of the training")
-        pretrained: str | None = Field(default=None, description="weights to start from, a .safetensors file")
         device: Literal["auto", "cpu", "cuda"] = Field(
             default="auto", description="where to compute", json_schema_extra=NEUTRAL
         )
@@ -101,8 +100,8 @@ class MocoEncoder(Encoder):
     def fit(self, problem: TrainingProblem) -> None:
         """Train on simulated touches.
 
-        Raises GridError when the grid is too large for the memory, WeightsError when pretrained weights do not fit,
-        TrainingError when the loss becomes NaN in the first epoch, and ConfigError when CUDA is requested but absent.
+        Raises GridError when the grid is too large for the memory, TrainingError when the loss becomes NaN in the first
+        epoch, and ConfigError when CUDA is requested but absent.
         """
         _require_memory(self.recipe, len(problem))
         _reset_threads()
@@ -154,12 +153,11 @@ class MocoEncoder(Encoder):
         """Read a trained network. Raises WeightsError when the file is damaged or of another architecture."""
         from safetensors import SafetensorError, safe_open
 
-        whole, partly = (self.recipe.planes(partly_seen) for partly_seen in (False, True))
         try:
             with safe_open(path, framework="pt") as file:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-                planes = (file.metadata() or {}).get(PLANES, str(whole))
-            network = self._make_network(0, planes == str(partly), pretrained=False)
+                planes = (file.metadata() or {}).get(PLANES)
+            network = self._make_network(0, partly_seen=planes == str(self.recipe.planes(partly_seen=True)))
             network.load_state_dict(tensors)
         except (SafetensorError, RuntimeError, OSError) as error:
             reason = str(error).splitlines()[0]
@@ -173,18 +171,9 @@ class MocoEncoder(Encoder):
             raise ConfigError("the encoder 'moco' has not been trained for this object; build its model first")
         return self._network
 
-    def _make_network(self, seed: int, partly_seen: bool, pretrained: bool = True) -> Backbone:
-        recipe = self.recipe
-        network = make_backbone(
-            recipe.backbone,
-            generator=torch.Generator().manual_seed(seed),
-            in_channels=recipe.planes(partly_seen),
-            channels=recipe.channels,
-            norm=recipe.norm,
-        )
-        if pretrained and self.options.pretrained:
-            load_pretrained(network, self.options.pretrained)
-        return network
+    def _make_network(self, seed: int, partly_seen: bool) -> Backbone:
+        recipe, generator = self.recipe, torch.Generator().manual_seed(seed)
+        return make_backbone(recipe.backbone, generator, recipe.planes(partly_seen), recipe.channels, recipe.norm)
 
 
 def _reset_threads() -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from tactile_loc.plugin import SensorGeometry
+from tactile_loc.plugins.encoders.moco.backbones import BackboneName, Norm
 
 Signal = Literal["binary", "depth"]
 
@@ -24,9 +25,9 @@ class Recipe:
     network's weights. `temperature` (unitless) divides the similarities. `image_px` is the longer side of the input.
     """
 
-    backbone: str = "small"
+    backbone: BackboneName = "small"
     channels: int = 16
-    norm: Literal["batch", "group"] = "group"
+    norm: Norm = "group"
     signal: Signal = "depth"
     image_px: int = 64
     epochs: int = 20
