@@ -62,7 +62,7 @@ def declared_names(module: ModuleType) -> list[str]:
 def test_every_public_name_exists_and_is_documented(module):
     names = declared_names(module)
     undocumented = {name for name in names if not getattr(module, name).__doc__}
-    types = {"DepthKind", "DepthUnit", "Drawing", "NoiseLevel", "Prior", "Units"}
+    types = {"DepthKind", "DepthUnit", "NoiseLevel", "Prior", "Units"}
     assert undocumented <= {"DEMO_OBJECTS", "hookimpl", *types}
     assert set(names) <= set(dir(module))
 

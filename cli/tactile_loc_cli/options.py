@@ -149,7 +149,7 @@ class RunOptions:
         set_option(
             "Set an option of a component, such as grid.spacing_mm=3; may be repeated. `plugins SLOT NAME` lists them. "
             "Also sets options of the search, hypotheses and tracker (search.registered=500) and top-level settings "
-            "(drawing=paper)."
+            "(shape_px=32)."
         ),
     ] = None
     config: Annotated[

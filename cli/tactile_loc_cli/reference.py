@@ -51,7 +51,6 @@ shape_px = 64          # the longer image side of the grid's contact shapes, pix
 # coverage = 0.95      # list the poses of a set that contains the true pose with this probability
 # drop_outliers = true # with several touches: leave out those that contradict the others
 # temperature = 1e-3   # of the softmax over scores; by default fitted to simulated touches
-# drawing = "paper"    # draw the object where it just touches the gel; default: "pressed", pressed into the gel
 
 [object]
 path = "hook"          # a mesh file or a demo object

@@ -91,7 +91,6 @@ def draw_slide(scene: Scene, T_start: Floats, frames: int, noise: TouchNoise = N
     `scene` draws the touches; its renderer should differ from the localizer's. Raises TouchError if the object slides
     off the sensor.
     """
-    scene = dataclasses.replace(scene, drawing="pressed")
     count = 2 * frames - 1
     phase = np.linspace(0, 2 * np.pi, count)
     moved = _rotate_about_gel(scene, T_start, TURN_RAD * np.sin(phase))

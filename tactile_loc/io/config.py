@@ -14,7 +14,6 @@ from tactile_loc.core.poses.tolerance import EXPECTED, ONE_MILLIMETRE, Tolerance
 from tactile_loc.core.runtime.errors import ConfigError, did_you_mean
 from tactile_loc.core.sensing.depth_maps import DepthUnit, TouchKind
 from tactile_loc.core.sensing.noise import NoiseLevel
-from tactile_loc.core.sensing.sensor_geometry import Drawing
 from tactile_loc.io.options import CERTAIN, TUNABLE, HypothesisOptions, SearchOptions, StrictModel, TrackerOptions
 from tactile_loc.io.toml import parse_value, read_toml, scale
 from tactile_loc.slots.options import validate_options
@@ -110,8 +109,6 @@ class RunConfig(StrictModel):
     `confidence` (0 to 1) is the probability from which such a pose is certain.
     `encoder` has a default that depends on the grid.
     `search`, `hypotheses` and `tracker` hold options to tune: see their classes.
-    `drawing` selects how the object is drawn for comparison with a touch: "pressed" into the gel, or just touching the
-    gel, as in the "paper".
     """
 
     object: ObjectConfig = ObjectConfig()
@@ -130,7 +127,6 @@ class RunConfig(StrictModel):
     coverage: float | None = Field(default=None, gt=0, lt=1)
     tolerance: ToleranceText = ONE_MILLIMETRE
     confidence: float = Field(default=CERTAIN, gt=0, lt=1)
-    drawing: Drawing = "pressed"
     drop_outliers: bool = False
     search: SearchOptions = SearchOptions()
     hypotheses: HypothesisOptions = HypothesisOptions()
@@ -201,7 +197,7 @@ def choose_sensor(name: str) -> SlotConfig:
 
 
 def parse_settings(assignments: Iterable[str]) -> tuple[dict[str, Any], list[str]]:
-    """Split words into RunConfig's plain settings, such as "drawing=paper", and the other words.
+    """Split words into RunConfig's plain settings, such as "shape_px=32", and the other words.
 
     Values are read as TOML. A value that is not valid TOML is text.
     """

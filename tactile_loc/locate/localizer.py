@@ -69,7 +69,7 @@ class Localizer:
         self.sensor, self.sampler, self.encoder, self.fuser = (made[k] for k in ("sensor", "grid", "encoder", "fuser"))
         self.registration = JointRegistration()
         self.refinement = Refinement(made["refiner"], config.refiner.name, self.registration)
-        self.scene = Scene(obj, self.sensor.geometry, made["renderer"], config.drawing)
+        self.scene = Scene(obj, self.sensor.geometry, made["renderer"])
         self._components = made
         self._known: list[Localizer] = [self]  # the localizers of all sensors
 

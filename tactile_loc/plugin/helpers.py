@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from tactile_loc.core.objects.surface_field import SurfaceField as SurfaceField
     from tactile_loc.core.sensing.contact import bring_to_contact as bring_to_contact
     from tactile_loc.core.sensing.contact import group_rotations as group_rotations
-    from tactile_loc.core.sensing.sensor_geometry import Drawing as Drawing, find_drawing as find_drawing
     from tactile_loc.core.sensing.touch import contact_shape_from_array as contact_shape_from_array
     from tactile_loc.core.sensing.zbuffer import draw_nearest_depths as draw_nearest_depths
 

@@ -143,7 +143,7 @@ class PlaceProblem(TrainingProblem):
         geometry = self.scene.geometry
         pixels = int(np.ceil(geometry.pixel_pitch_m * max(geometry.shape) / PIXEL_M))
         geometry = geometry.resize_long_side(min(pixels, max(geometry.shape))).press(geometry.max_depth_m)
-        return dataclasses.replace(self.scene.use_pressed_drawing(), geometry=geometry)
+        return dataclasses.replace(self.scene, geometry=geometry)
 
     @cached_property
     def rotated(self) -> RotatedPoses:

@@ -115,7 +115,7 @@ class PressNoise:
                 f"the press depth cannot be {press_depth_m * 1e3:.3g} mm on this sensor; give more than 0 and at most "
                 f"{deepest * 1e3:.3g} mm"
             )
-        return cls(noise or TouchNoise(), scene.use_pressed_drawing(), press_depth_m, rng.spawn(1)[0])
+        return cls(noise or TouchNoise(), scene, press_depth_m, rng.spawn(1)[0])
 
     @property
     def deepest_m(self) -> float:

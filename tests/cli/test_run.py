@@ -181,12 +181,11 @@ def test_result_files_are_complete_and_written_under_a_lock(result):
 
 
 def test_the_option_flag_also_sets_plain_settings(cli, tmp_path):
-    done = cli("build", "--object", "pin", *TINY, "-o", "drawing=papr")
+    done = cli("build", "--object", "pin", *TINY, "-o", "shape_px=small")
     assert done.exit_code != 0
-    assert "drawing" in done.stderr
-    assert "pressed" in done.stderr
-    done = succeed(cli("run", "--object", "pin", *TINY, *SURE, "-o", "drawing=paper", "--out", "out"))
-    assert json.loads((tmp_path / "out/result.json").read_text())["configuration"]["drawing"] == "paper"
+    assert "shape_px" in done.stderr
+    done = succeed(cli("run", "--object", "pin", *TINY, *SURE, "-o", "shape_px=48", "--out", "out"))
+    assert json.loads((tmp_path / "out/result.json").read_text())["configuration"]["shape_px"] == 48
 
 
 def as_toml(value: object) -> str:

@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 import trimesh
@@ -149,14 +147,3 @@ def test_spurious_contact_alone_gives_no_touch(make_scene, pinhole, box, sampler
         clean = scene.render_contact_depths(touch.T_sensor_object[None])[0] < np.float32(pinhole.max_depth_m)
         least = sampler.options.min_contact_percent / 100 * pinhole.observed_mask.sum()
         assert (touch.contact_shape.contact & clean & pinhole.observed_mask).sum() >= least
-
-
-def test_touches_do_not_depend_on_the_drawing_of_poses(make_scene, pinhole, box, sampler):
-    scene = make_scene(box, pinhole)
-    pressed, paper = (
-        simulate_touches(sampler, dataclasses.replace(scene, drawing=drawing), 3, np.random.default_rng(1))
-        for drawing in ("pressed", "paper")
-    )
-    for a, b in zip(pressed, paper, strict=True):
-        np.testing.assert_array_equal(a.contact_shape.depth_m, b.contact_shape.depth_m)
-        np.testing.assert_array_equal(a.T_sensor_object, b.T_sensor_object)

@@ -14,7 +14,7 @@ from tactile_loc.core.objects.mesh import ObjectModel, TriangleMesh
 from tactile_loc.core.sensing.contact import bring_to_contact
 from tactile_loc.core.sensing.gel_surface import SLACK, deform_gel
 from tactile_loc.core.sensing.imprints import Explained, Residuals, compare_imprints, measure_residuals
-from tactile_loc.core.sensing.sensor_geometry import Drawing, SensorGeometry, find_drawing
+from tactile_loc.core.sensing.sensor_geometry import SensorGeometry
 from tactile_loc.core.sensing.touch import ContactShape, Touch, compute_contact_depth
 
 IOU_PX = 100
@@ -40,19 +40,11 @@ class DepthRenderer(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """An object, the sensor's geometry and a renderer. `drawing` is "pressed" or "paper": see `find_drawing`.
-
-    With both drawings, poses are those of the pressed object.
-    """
+    """An object, the sensor's geometry and a renderer."""
 
     object: ObjectModel
     geometry: SensorGeometry
     renderer: DepthRenderer
-    drawing: Drawing = "pressed"
-
-    def use_pressed_drawing(self) -> Scene:
-        """Return the scene with the drawing "pressed": the pressed object, as real sensors see it."""
-        return dataclasses.replace(self, drawing="pressed")
 
     def bring_to_contact(self, T_sensor_object: Poses) -> tuple[Poses, Bools]:
         """Move poses (N, 4, 4), metres, along z to contact. Also return which (N,) touch the sensing rectangle."""
@@ -84,10 +76,10 @@ class Scene:
         `press_depth_m` metres, by default at the maximal depth. With `grid`, this is fast if many poses have the same
         rotation.
         """
-        T, camera = find_drawing(T_sensor_object, self.geometry, self.drawing)
+        geometry = self.geometry
         render = self.renderer.render if grid else self.renderer.render_apart
-        depth = render(self.object.mesh, T, camera.band)
-        return compute_contact_depth(depth, camera, camera.max_depth_m if press_depth_m is None else press_depth_m)
+        depth = render(self.object.mesh, T_sensor_object, geometry.band)
+        return compute_contact_depth(depth, geometry, geometry.max_depth_m if press_depth_m is None else press_depth_m)
 
     def render_gel_depths(self, T_sensor_object: Poses, press_depth_m: float | None = None) -> Float32:
         """Render the contact depths (N, H, W), metres, that the gel shows of pressed poses (N, 4, 4).

@@ -306,20 +306,3 @@ class SensorGeometry:
 
 def _pack_bytes(array: NDArray[Any]) -> bytes:
     return (np.packbits(array) if array.dtype == np.bool_ else array).tobytes()
-
-
-Drawing = Literal["pressed", "paper"]
-
-
-def find_drawing(T_sensor_object: Floats, geometry: SensorGeometry, drawing: Drawing) -> tuple[Floats, SensorGeometry]:
-    """Return the poses (..., 4, 4), metres, and the sensor with which to render them for comparison with touches.
-
-    The drawing "pressed" renders the object where it is pressed in, as the sensor sees it. "paper" renders the object
-    where it just touches the gel, as in Bauza et al. (CoRL 2020). There it is farther from the camera, so a pinhole
-    camera sees it smaller. For parallel rays, the two drawings are equal.
-    """
-    if drawing == "pressed" or geometry.indentation_m == 0.0:
-        return T_sensor_object, geometry
-    raised = T_sensor_object.copy()
-    raised[..., 2, 3] += geometry.indentation_m
-    return raised, dataclasses.replace(geometry, standoff_m=geometry.surface_m, indentation_m=0.0)

@@ -30,7 +30,7 @@ from tactile_loc.slots.options import validate_options
 from tactile_loc.slots.registry import SLOTS, registry
 from tactile_loc.store.keys import write_canonical_json
 
-SETTINGS = ("shape_px", "temperature", "drawing")  # the same for all combinations of a sweep
+SETTINGS = ("shape_px", "temperature")  # the same for all combinations of a sweep
 KEYS = ("object", *SLOTS, "noise", "seed", "count", "option", *SETTINGS)
 DEFAULT_COUNT, DEFAULT_NOISE = 150, "strong"
 

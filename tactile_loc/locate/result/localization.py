@@ -231,7 +231,7 @@ class Localization:
         """
         config = self._require_config()
         renderer = registry().create("renderer", config.renderer.name, config.renderer.options)
-        scenes = (Scene(self.object, touch.geometry, renderer, config.drawing) for touch in self.touches)
+        scenes = (Scene(self.object, touch.geometry, renderer) for touch in self.touches)
         return [view_touch(self.touch, touch, scene) for touch, scene in zip(self.touches, scenes, strict=True)]
 
     def _require_config(self) -> RunConfig:

@@ -58,7 +58,7 @@ def make_grid_key(scene: Scene, sampler: GridSampler) -> StageKey:
 
 def make_shapes_key(grid: StageKey, scene: Scene, judge: DepthRenderer) -> StageKey:
     """Return the store key of a grid's contact shapes, drawn as in `scene`, at the poses that `judge` keeps."""
-    drawn: dict[str, Any] = {"renderer": scene.renderer.describe(), "drawing": scene.drawing, "shard": SHARD}
+    drawn: dict[str, Any] = {"renderer": scene.renderer.describe(), "shard": SHARD}
     if judge.describe() != drawn["renderer"]:
         drawn["judge"] = judge.describe()
     return StageKey("shapes", STAGE_VERSIONS["shapes"], {"grid": grid.digest, **drawn})
@@ -171,11 +171,11 @@ def build_bank(
 def _press_shapes(model: ObjectPoseModel, pressed: Scene) -> Iterator[NDArray[np.float32]]:
     """Yield the contact depths (S, H, W), S > 0, metres, of the grid's poses at the scene's press.
 
-    If rays are parallel, or shapes are drawn as in the paper, the shapes at full press are cut at the lighter press. A
-    pinhole camera sees a lighter press from farther away, so the shapes are rendered again.
+    If rays are parallel, the shapes at full press are cut at the lighter press. A pinhole camera sees a lighter press
+    from farther away, so the shapes are rendered again.
     """
     press_m, deepest_m = pressed.geometry.indentation_m, model.shapes.max_depth_m
-    if press_m == deepest_m or not pressed.geometry.is_pinhole or pressed.drawing == "paper":
+    if press_m == deepest_m or not pressed.geometry.is_pinhole:
         yield from model.shapes.shards(press_m)
         return
     poses = model.grid.raise_level(deepest_m - press_m).T_sensor_object

@@ -123,7 +123,6 @@ class PlaceSearch:
             "options": self.options.model_dump(mode="json"),
             "registration": self.registration.describe(),
             "renderer": self.scene.renderer.describe(),
-            "drawing": self.scene.drawing,
         }
 
     def propose(self, touch: Touch, count: int, prior: Prior | None = None) -> list[Rated]:

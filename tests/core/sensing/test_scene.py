@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 import trimesh
@@ -87,51 +85,6 @@ def test_a_pose_beside_the_sensor_has_no_imprint_iou(problem):
     away = make_translation([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]]) @ problem.truth
     np.testing.assert_allclose(problem.scene.imprint_ious(away, problem.touch), [1.0, 0.0], atol=1e-6)
     assert problem.scene.imprint_ious(away[:0], problem.touch).shape == (0,)
-
-
-def drawings(camera):
-    """Return the block's pressed scene, a pose in contact (1, 4, 4), metres, and the scene drawn as in the paper."""
-    problem = press_block(camera)
-    return (
-        problem.scene,
-        problem.scene.bring_to_contact(problem.truth[None])[0],
-        dataclasses.replace(problem.scene, drawing="paper"),
-    )
-
-
-@pytest.mark.parametrize("press_m", [0.002, 0.0012])
-def test_parallel_rays_give_equal_depths_for_both_drawings(press_m):
-    pressed, T, paper = drawings("orthographic")
-    for draw in (
-        lambda scene: scene.render_contact_depths(T, press_m),
-        lambda scene: scene.render_contact_depths(T, grid=True),
-    ):
-        np.testing.assert_allclose(draw(paper), draw(pressed), atol=1e-8)
-
-
-def test_the_paper_drawing_shows_the_object_at_first_contact():
-    pressed, T, paper = drawings("pinhole")
-    touching = dataclasses.replace(pressed, geometry=CAMERAS["pinhole"])
-    just, _ = touching.bring_to_contact(T)
-    assert just[0, 2, 3] == pytest.approx(T[0, 2, 3] + pressed.geometry.indentation_m)
-    np.testing.assert_array_equal(paper.render_contact_depths(T), touching.render_contact_depths(just))
-    np.testing.assert_array_equal(
-        paper.render_contact_depths(T, grid=True), touching.render_contact_depths(just, grid=True)
-    )
-    seen, drawn = (scene.render_contact_depths(T)[0] < np.float32(0.002) for scene in (pressed, paper))
-    ratio = np.sqrt(np.count_nonzero(drawn) / np.count_nonzero(seen))
-    assert 23 / 25 - 0.03 < ratio < 0.99, "the outline is up to 8 % smaller"
-    np.testing.assert_array_equal(
-        paper.use_pressed_drawing().render_contact_depths(T), pressed.render_contact_depths(T)
-    )
-
-
-def test_both_drawings_use_pressed_poses():
-    """The true pose explains a touch of the same drawing best, without a shift along z."""
-    pressed, T, paper = drawings("pinhole")
-    touch = Touch(ContactShape(paper.render_contact_depths(T)[0], 0.002), CAMERAS["pinhole"])
-    assert paper.imprint_ious(T, touch)[0] == pytest.approx(1.0)
-    assert pressed.imprint_ious(T, touch)[0] < 0.99
 
 
 def test_a_tiny_contact_has_a_high_iou_at_its_true_pose(make_object):

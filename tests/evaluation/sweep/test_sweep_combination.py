@@ -40,7 +40,7 @@ def test_equal_inputs_give_equal_keys_and_any_change_gives_another_key(monkeypat
     base = {"object": ["pin"], "refiner": ["icp"], "noise": ["none"], "seed": [0], "count": 4}
     (key,) = keys(base)
     assert keys({**base, "refiner": [{"name": "icp", "max_iterations": 20}]}) == [key]  # the default
-    single = {"noise": ["mild"], "seed": [1], "count": 5, "shape_px": 32, "temperature": 0.1, "drawing": "paper"}
+    single = {"noise": ["mild"], "seed": [1], "count": 5, "shape_px": 32, "temperature": 0.1}
     changes = [
         *({"object": [one]} for one in ("head", {"path": "pin", "symmetry": "none"})),
         *({"refiner": [one]} for one in ("none", {"name": "icp", "max_iterations": 7})),

@@ -67,9 +67,7 @@ def test_a_sensor_may_be_a_file_or_a_folder(tmp_path, flat_sensor, monkeypatch):
 
 
 def test_the_description_of_a_plan_gives_the_same_plan():
-    plan = Plan.from_values(
-        {"object": ["pin"], "refiner": ["none", "icp"], "seed": 3, "shape_px": 32, "drawing": "paper"}
-    )
+    plan = Plan.from_values({"object": ["pin"], "refiner": ["none", "icp"], "seed": 3, "shape_px": 32})
     said = plan.describe()
     again = {key: value for key, value in said.items() if key != "temperature"}
     again |= {slot: [{"name": one["name"], **one["options"]} for one in said[slot]] for slot in plan.slots}
@@ -103,7 +101,6 @@ def test_the_description_of_a_plan_gives_the_same_plan():
         ({"object": [{"path": "pin", "unit": "mm"}]}, "'units'"),
         ({"object": [7]}, "7"),
         ({"shape_px": 3}, "shape_px"),
-        ({"drawing": "papre"}, "drawing"),
     ],
 )
 def test_a_wrong_plan_gives_a_one_sentence_error(values, said):

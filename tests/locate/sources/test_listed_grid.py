@@ -1,4 +1,3 @@
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -169,14 +168,12 @@ def test_a_change_rebuilds_only_the_stages_that_depend_on_it(make_pin_scene, sam
     assert built(Scene(make_pin_scene().object, smaller, Counting())) == ["grid", "shapes", "bank"]
     other = load_object("pin", symmetry="none")
     assert built(Scene(other, make_pin_scene().geometry, Counting())) == ["grid", "shapes", "bank"]
-    assert built(dataclasses.replace(make_pin_scene(), drawing="paper")) == ["shapes", "bank"]
     assert built(make_pin_scene()) == [], "the store kept less than the whole build"
 
 
-@pytest.mark.parametrize("drawing", ["pressed", "paper"])
-def test_a_bank_of_a_lighter_press_equals_the_rendered_shapes(make_pin_scene, sampler, own_store, drawing):
+def test_a_bank_of_a_lighter_press_equals_the_rendered_shapes(make_pin_scene, sampler, own_store):
     scene = make_pin_scene()
-    scene = dataclasses.replace(scene, geometry=scene.geometry.press(scene.geometry.max_depth_m), drawing=drawing)
+    scene = scene.press(scene.geometry.max_depth_m)
     model, press_m = build(scene, sampler, own_store), 0.0007
     bank = build_bank(model, scene, PixelEncoder(), press_m, own_store, Progress())
     light = scene.press(press_m)

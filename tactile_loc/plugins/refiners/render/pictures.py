@@ -8,15 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_loc.plugin import ContactShape, Poses, SensorGeometry, TriangleMesh
-from tactile_loc.plugin.helpers import (
-    Drawing,
-    bring_to_contact,
-    draw_nearest_depths,
-    exponential,
-    find_drawing,
-    njit,
-    run_in_threads,
-)
+from tactile_loc.plugin.helpers import bring_to_contact, draw_nearest_depths, exponential, njit, run_in_threads
 
 Floats = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -47,17 +39,10 @@ class Pictures:
     centre_m: Floats
     steps: Floats
     in_contact: bool
-    drawing: Drawing = "pressed"
 
     @classmethod
     def blurred(
-        cls,
-        mesh: TriangleMesh,
-        geometry: SensorGeometry,
-        wanted: ContactShape,
-        width_m: float,
-        in_contact: bool,
-        drawing: Drawing = "pressed",
+        cls, mesh: TriangleMesh, geometry: SensorGeometry, wanted: ContactShape, width_m: float, in_contact: bool
     ) -> Pictures:
         """Return an instance for the contact shape `wanted`, with a Gaussian blur of `width_m` metres."""
         pitch_m = geometry.pixel_pitch_m
@@ -71,7 +56,7 @@ class Pictures:
         # A step moves the picture by half the blur, or by half a pixel along z, in which depths are not blurred.
         across, along = 0.5 * max(width_m, pitch_m), 0.5 * pitch_m
         steps = np.array([across, across, along, along / lever_m, along / lever_m, across / lever_m])
-        return cls(mesh, geometry, wanted, block, taps, centre_m, steps, in_contact, drawing)
+        return cls(mesh, geometry, wanted, block, taps, centre_m, steps, in_contact)
 
     @property
     def directions(self) -> Floats:
@@ -90,9 +75,8 @@ class Pictures:
     def draw_poses(self, T_sensor_object: Poses) -> tuple[Float32, Poses]:
         """Return the pictures (N, P) of poses (N, 4, 4), metres, and the poses that were drawn."""
         T = bring_to_contact(self.mesh, T_sensor_object, self.geometry)[0] if self.in_contact else T_sensor_object
-        drawn, camera = find_drawing(T, self.geometry, self.drawing)
-        depth = draw_nearest_depths(self.mesh, drawn, camera.band)
-        depth -= camera.full_penetration_m
+        depth = draw_nearest_depths(self.mesh, T, self.geometry.band)
+        depth -= self.geometry.full_penetration_m
         return self._draw_depths(depth), T
 
     def move(self, T_sensor_object: Poses, moves: Floats) -> Poses:

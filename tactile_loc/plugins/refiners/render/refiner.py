@@ -206,7 +206,7 @@ class RenderRefiner(Refiner):
         start, hold = metric.embed(T), (options.patch_mm / options.spread_mm) ** 2
         for number, width_mm in enumerate(options.widths_mm, start=1):
             last = number == len(options.widths_mm)
-            pictures = Pictures.blurred(mesh, geometry, wanted, width_mm * 1e-3, last, scene.drawing)
+            pictures = Pictures.blurred(mesh, geometry, wanted, width_mm * 1e-3, last)
             tolerance = options.tolerance + BLURRED_TOLERANCE * width_mm
             descent = Descent(pictures, pictures.draw_touch(), tolerance, metric, start, hold)
             T, still, done = descent.run(T, options.max_iterations, SETTLED if last else ON_THE_WAY)
