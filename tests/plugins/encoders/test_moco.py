@@ -162,7 +162,7 @@ def test_a_missing_gpu_is_refused(problem, monkeypatch):
 
 def test_a_grid_too_large_for_memory_is_refused_with_the_memory_it_needs(problem, monkeypatch):
     monkeypatch.setattr(module.psutil, "virtual_memory", lambda: SimpleNamespace(available=1000))
-    with pytest.raises(GridError, match=naming("GiB", "encoder.negatives", "encoder.batch", "grid.spacing_mm")):
+    with pytest.raises(GridError, match=naming("GiB", "encoder.batch", "grid.spacing_mm")):
         make().fit(problem)
 
 
@@ -170,14 +170,6 @@ def test_an_untrained_encoder_refuses_to_encode(problem):
     depth = np.concatenate(list(problem.shapes()))[:1]
     with pytest.raises(ConfigError, match="'moco'"):
         make().encode(depth, 1e-3, problem.scene.geometry)
-
-
-def test_sampled_softmax_keeps_every_target_key():
-    keys = torch.arange(50.0)[:, None].repeat(1, 3)
-    targets = torch.tensor([7, 3, 7, 40])
-    kept, places = training._sample_keys(keys, targets, 10, np.random.default_rng(0))
-    assert torch.equal(kept[places], keys[targets])
-    assert len(kept.unique(dim=0)) == len(kept) <= 3 + 10
 
 
 def test_the_input_holds_the_averaged_observed_contact_and_the_press(problem):

@@ -61,9 +61,6 @@ class MocoEncoder(Encoder):
         batch: int | None = Field(default=None, ge=2, description="touches in each step")
         rate: float | None = Field(default=None, gt=0, description="highest learning rate")
         noise: NoiseLevel = Field(default="strong", description="noise of the training touches")
-        negatives: int = Field(
-            default=0, ge=0, description="random grid poses in the softmax of each step; 0: the whole grid"
-        )
         patience: int = Field(default=8, ge=1, description="epochs without a better validation before stopping early")
         seed: int = Field(default=0, ge=0, description="seed of the training")
         device: Literal["auto", "cpu", "cuda"] = Field(
@@ -76,7 +73,7 @@ class MocoEncoder(Encoder):
             include={"backbone", "channels", "signal", "epochs", "queries", "batch", "rate"}
         )
         changes = {name: value for name, value in chosen.items() if value is not None}
-        always = self.options.model_dump(include={"noise", "negatives", "patience", "seed"})
+        always = self.options.model_dump(include={"noise", "patience", "seed"})
         self.recipe: Recipe = replace(PRESETS[self.options.preset], **changes, **always)
         self._network: Backbone | None = None
 
@@ -194,5 +191,5 @@ def _require_memory(recipe: Recipe, poses: int) -> None:
     if needed > 0.8 * free:
         raise GridError(
             f"training on {poses} poses needs about {needed / 2**30:.1f} GiB of memory, but {free / 2**30:.1f} are "
-            "free; set encoder.negatives (such as 16384), a smaller encoder.batch, or a larger grid.spacing_mm"
+            "free; set a smaller encoder.batch, or a larger grid.spacing_mm"
         )

@@ -21,8 +21,8 @@ class Recipe:
 
     `signal` selects the network's input: the contact mask alone, or the contact mask and the penetration depth. In each
     epoch, `queries` touches are rendered and used `repeats` times with new noise, `batch` touches in each step. Keys
-    are encoded again after `refresh` steps, or in each epoch if `refresh` is 0. `momentum` is the momentum of the key
-    network's weights. `temperature` (unitless) divides the similarities. `image_px` is the longer side of the input.
+    are encoded again after `refresh` steps. `momentum` is the momentum of the key network's weights. `temperature`
+    (unitless) divides the similarities. `image_px` is the longer side of the input.
     """
 
     backbone: BackboneName = "small"
@@ -41,7 +41,6 @@ class Recipe:
     temperature: float = 0.07
     refresh: int = 24
     noise: str = "strong"
-    negatives: int = 0
     patience: int = 8
     seed: int = 0
 
@@ -51,8 +50,7 @@ class Recipe:
 
     def bytes_needed(self, poses: int) -> int:
         """Estimate the memory, bytes, of a training step with a grid of `poses` poses."""
-        in_softmax = min(poses, self.negatives + self.batch) if self.negatives else poses
-        scores = 4 * 4 * self.batch * in_softmax  # float32: scores, their exponentials, and the gradients of both
+        scores = 4 * 4 * self.batch * poses  # float32: scores, their exponentials, and the gradients of both
         keys = 2 * 4 * self.channels * 64 * poses
         return scores + keys
 

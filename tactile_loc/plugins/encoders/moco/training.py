@@ -101,24 +101,24 @@ class Trainer:
         losses: list[float] = []
         threads = BATCHES_AHEAD if self.device.type == "cuda" else 1
         batches = work_ahead(partial(self._make_batch, queries), range(self.steps), threads)
-        for step, (batch, rng) in enumerate(batches):
+        for step, batch in enumerate(batches):
             if step == self._find_refresh(step):
                 keys = self._keys(self.key_network, self._draw_press(step))
-            loss = self._step(batch, keys, step, rng)
+            loss = self._step(batch, keys, step)
             losses.append(loss)
             if not math.isfinite(loss):
                 return math.nan
         self.epoch += 1
         return float(np.mean(losses))
 
-    def _make_batch(self, queries: TrainingTouches, step: int) -> tuple[TrainingBatch, np.random.Generator]:
-        """Return the touches of a step, with new noise, and the generator of the step's random numbers."""
+    def _make_batch(self, queries: TrainingTouches, step: int) -> TrainingBatch:
+        """Return the touches of a step, with new noise."""
         rng = np.random.default_rng([self.recipe.seed, self.epoch, 2, 0, step])
-        return queries.batch(self.batch, rng, self._draw_press(self._find_refresh(step))), rng
+        return queries.batch(self.batch, rng, self._draw_press(self._find_refresh(step)))
 
     def _find_refresh(self, step: int) -> int:
         """Return the last step, up to `step`, before which the keys are encoded again."""
-        return step - step % self.recipe.refresh if self.recipe.refresh else 0
+        return step - step % self.recipe.refresh
 
     def _draw_press(self, step: int) -> float:
         """Draw the press depth, metres, at which touches and keys are compared from this step on."""
@@ -126,13 +126,11 @@ class Trainer:
         rng = np.random.default_rng([self.recipe.seed, self.epoch, 4, step])
         return float(presses_m[0] if len(presses_m) == 1 else rng.choice(presses_m))
 
-    def _step(self, batch: TrainingBatch, keys: torch.Tensor, step: int, rng: np.random.Generator) -> float:
+    def _step(self, batch: TrainingBatch, keys: torch.Tensor, step: int) -> float:
         for group in self.optimizer.param_groups:
             group["lr"] = self._rate(self.epoch + step / self.steps)
         vectors = self._embed(batch)
         targets = torch.from_numpy(batch.labels).to(self.device)
-        if self.recipe.negatives and self.recipe.negatives < len(keys):
-            keys, targets = _sample_keys(keys, targets, self.recipe.negatives, rng)
         loss = F.cross_entropy(self._scores(vectors, keys), targets)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
@@ -280,13 +278,3 @@ def _read_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any
 
     with safe_open(path, framework="pt") as file:
         return {k: file.get_tensor(k) for k in file.keys()}, json.loads(file.metadata()["progress"])  # noqa: SIM118
-
-
-def _sample_keys(
-    keys: torch.Tensor, targets: torch.Tensor, negatives: int, rng: np.random.Generator
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the batch's own keys and up to `negatives` random keys (K, D), and each target's index (B,) among them."""
-    own, places = torch.unique(targets, return_inverse=True)
-    drawn = torch.from_numpy(rng.choice(len(keys), negatives, replace=False)).to(keys.device)
-    drawn = drawn[~torch.isin(drawn, own)]
-    return torch.cat([keys[own], keys[drawn]]), places
