@@ -13,8 +13,8 @@ import numpy as np
 from tactile_loc.core.geometry.rigid import Floats, Poses, invert
 from tactile_loc.core.poses.candidate import Candidate, RefinedPose
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.registration.estimates import Estimates, PoseFusion, scale
-from tactile_loc.core.registration.joint_registration import ROUGHLY
+from tactile_loc.core.registration.estimates import Estimates, PoseFusion
+from tactile_loc.core.registration.joint_registration import ROUGHLY, scale
 from tactile_loc.core.registration.observations import MILLI
 from tactile_loc.core.sensing.scene import NATS_PER_IOU, Scene, View
 from tactile_loc.core.sensing.touch import Touch

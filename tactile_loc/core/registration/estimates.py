@@ -22,9 +22,15 @@ from tactile_loc.core.geometry.lie import adjoint, exponential, logarithm, move_
 from tactile_loc.core.geometry.rigid import Floats, Poses, cross_matrix, invert
 from tactile_loc.core.poses.candidate import RefinedPose
 from tactile_loc.core.poses.priors import Prior
-from tactile_loc.core.registration.joint_registration import Covariances, JointRegistration, convert_to_covariances
+from tactile_loc.core.registration.joint_registration import (
+    Covariances,
+    JointRegistration,
+    convert_to_covariances,
+    scale,
+    scale_factors,
+)
 from tactile_loc.core.registration.observations import MILLI
-from tactile_loc.core.registration.prior_factors import PriorFactors, fit_prior_factors
+from tactile_loc.core.registration.prior_factors import fit_prior_factors
 from tactile_loc.core.sensing.scene import View
 
 STEPS, SETTLED_MM = 20, 1e-7  # most Gauss-Newton steps, and the length of a step at convergence
@@ -100,7 +106,9 @@ class PoseFusion:
         A `prior` over these poses decides where the estimates leave a pose open.
         """
         weights, T = self.weights, scale(T_first_object)
-        factors = None if prior is None else self._fit_factors(prior, T_first_object)
+        factors = None
+        if prior is not None:
+            factors = scale_factors(fit_prior_factors(prior, T_first_object, self.middle / MILLI))
         for _ in range(STEPS):
             r, J = self._linearise(T)
             JW = J.swapaxes(-1, -2) @ weights
@@ -114,11 +122,6 @@ class PoseFusion:
             if (np.abs(x) * ([LEVER_MM] * 3 + [1.0] * 3)).max(initial=0.0) < SETTLED_MM:
                 break
         return T
-
-    def _fit_factors(self, prior: Prior, T: Poses) -> PriorFactors:
-        """Return the factors of a prior at poses (K, 4, 4), metres, with lengths in mm."""
-        fitted, unit = fit_prior_factors(prior, T, self.middle / MILLI), np.array([1.0] * 3 + [1 / MILLI] * 3)
-        return PriorFactors(scale(fitted.T), fitted.information * unit * unit[:, None])
 
     def see(self, T: Floats) -> tuple[Floats, Floats]:
         """Return poses (K, N, 4, 4) of the object as each sensor sees it, given the poses T (K, 4, 4) of `solve`.
@@ -193,10 +196,3 @@ def _invert_left_jacobian(a: Floats) -> Floats:
 
 def _symmetric(A: Floats) -> Floats:
     return np.asarray((A + A.swapaxes(-1, -2)) / 2)
-
-
-def scale(T: Floats, unit: float = MILLI) -> Floats:
-    """Return transforms (..., 4, 4) with translations multiplied by `unit`, to convert them to another unit."""
-    scaled = np.array(T)
-    scaled[..., :3, 3] *= unit
-    return scaled

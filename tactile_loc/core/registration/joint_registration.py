@@ -88,7 +88,7 @@ class JointRegistration:
         good = ~doubted | (after[1] >= before[1] - ROUGHLY)
         worse = np.flatnonzero(~good)
         if len(views) > 1 and len(worse):
-            seen = _scale(found.registered.T_each[worse], 1 / MILLI)
+            seen = scale(found.registered.T_each[worse], 1 / MILLI)
             ious = compare_where_seen(views, found.T_first_object[worse], seen)[0]
             good[worse] = ious.mean(axis=1) >= before[1, worse] - ROUGHLY
         results = []
@@ -131,7 +131,7 @@ class JointRegistration:
         found = self._register(
             self._pose_problem(views), T_first_object, self.list_scales_mm(self.options.iterations), FINELY
         )
-        poses = _scale(found.registered.T_reported, 1 / MILLI) if reported else found.T_first_object
+        poses = scale(found.registered.T_reported, 1 / MILLI) if reported else found.T_first_object
         return poses, found.compute_covariances(reported=reported)
 
     def step(self, views: Sequence[View], T_first_object: Poses, scale_mm: float) -> tuple[Poses, Covariances]:
@@ -183,9 +183,9 @@ class JointRegistration:
         """Register poses (K, 4, 4), metres, to touches. The last `finely` steps use all points."""
         factors = NO_FACTORS
         if prior is not None:
-            factors = _scale_factors(fit_prior_factors(prior, T, problem.middle / MILLI))
+            factors = scale_factors(fit_prior_factors(prior, T, problem.middle / MILLI))
         schedule = Schedule(scales_mm, finely, self.options.stride)
-        return _Found(problem, problem.register(_scale(T, MILLI), schedule, factors))
+        return _Found(problem, problem.register(scale(T, MILLI), schedule, factors))
 
     def _pose_problem(self, views: Sequence[View], cell_m: float | None = None) -> RegistrationProblem:
         options, mesh = self.options, views[0].scene.object.mesh
@@ -202,7 +202,7 @@ class JointRegistration:
         sensor = [[view.sensor_std_rad] * 3 + [view.sensor_std_m * MILLI] * 3 for view in views]
         return RegistrationProblem(
             observed,
-            _scale(np.stack([view.T_sensor_first for view in views]), MILLI),
+            scale(np.stack([view.T_sensor_first for view in views]), MILLI),
             np.square(sensor),
             np.outer(np.square(press_mm), [0, 0, 0, 0, 0, 1]),
             options.noise_mm,
@@ -222,7 +222,7 @@ class _Found:
     @cached_property
     def T_first_object(self) -> Poses:  # noqa: N802 - the field's name
         """The poses (K, 4, 4), metres, in the first sensor's frame."""
-        return _scale(self.problem.view_from_first(self.registered), 1 / MILLI)
+        return scale(self.problem.view_from_first(self.registered), 1 / MILLI)
 
     def compute_covariances(self, T: Poses | None = None, reported: bool = False) -> Covariances:
         """Return the covariances of the poses, or of the reported poses: see `convert_to_covariances`.
@@ -236,7 +236,7 @@ class _Found:
     def add_to(self, poses: Sequence[RefinedPose], good: Bools) -> list[RefinedPose]:
         """Return the refined poses; those that are `good` (K,) get covariances and poses in other frames."""
         found = self.registered
-        each, reported = _scale(found.T_each, 1 / MILLI), _scale(found.T_reported, 1 / MILLI)
+        each, reported = scale(found.T_each, 1 / MILLI), scale(found.T_reported, 1 / MILLI)
         own, others = self.compute_covariances(), self.compute_covariances(reported=True)
         return [
             dataclasses.replace(
@@ -258,17 +258,17 @@ def _press_std_m(view: View, press_error: float) -> float:
     return max(press_error * shape.deepest_m, shape.indentation_std_m, 1e-6)
 
 
-def _scale(T: Floats, unit: float) -> Floats:
+def scale(T: Floats, unit: float = MILLI) -> Floats:
     """Return transforms (..., 4, 4) with translations multiplied by `unit`, to convert them to another unit."""
-    scaled = T.copy()
+    scaled = np.array(T)
     scaled[..., :3, 3] *= unit
     return scaled
 
 
-def _scale_factors(factors: PriorFactors) -> PriorFactors:
+def scale_factors(factors: PriorFactors) -> PriorFactors:
     """Return the factors of a prior, with lengths in mm."""
     unit = np.array([1.0] * 3 + [1 / MILLI] * 3)
-    return PriorFactors(_scale(factors.T, MILLI), factors.information * unit * unit[:, None])
+    return PriorFactors(scale(factors.T, MILLI), factors.information * unit * unit[:, None])
 
 
 def _explain(views: Sequence[View], T_first_object: Poses) -> Floats:

@@ -7,7 +7,8 @@ import pytest
 
 from tactile_loc import ContactShape, GaussianPrior, SensorGeometry, Touch
 from tactile_loc.core.geometry.lie import exponential, move_covariance
-from tactile_loc.core.registration.estimates import Estimates, PoseFusion, scale
+from tactile_loc.core.registration.estimates import Estimates, PoseFusion
+from tactile_loc.core.registration.joint_registration import scale
 from tactile_loc.plugin import RefinedPose, Scene, View
 from tactile_loc.plugin.helpers import draw_rotations, invert, make_transform, make_translation
 from tactile_loc.testing.problems import ReferenceRenderer
