@@ -56,7 +56,9 @@ if TYPE_CHECKING:
     from tactile_loc.io.options import TrackerOptions as TrackerOptions
     from tactile_loc.io.sensor_files import write_sensor_file as write_sensor_file
     from tactile_loc.io.shape_pictures import paint_shape as paint_shape
-    from tactile_loc.io.streams.frame_sources import FrameTaker as FrameTaker
+    from tactile_loc.io.streams.frame_sources import Camera as Camera
+    from tactile_loc.io.streams.frame_sources import FrameSource as FrameSource
+    from tactile_loc.io.streams.frame_sources import ImageFolder as ImageFolder
     from tactile_loc.io.streams.frame_sources import SourceFrame as SourceFrame
     from tactile_loc.io.streams.frame_sources import open_source as open_source
     from tactile_loc.io.streams.recordings import Recording as Recording

@@ -4,7 +4,6 @@ import importlib.util
 import os
 import shutil
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -19,7 +18,7 @@ from PIL import Image
 from tactile_loc.core.runtime.errors import MissingLibraryError, SourceError, TouchError
 from tactile_loc.io.streams import frame_sources
 from tactile_loc.io.streams.cameras import CameraSettings
-from tactile_loc.io.streams.frame_sources import Camera, FrameTaker, ImageFolder, SourceFrame, Video, open_source
+from tactile_loc.io.streams.frame_sources import Camera, ImageFolder, SourceFrame, Video, open_source
 from tactile_loc.io.streams.videos import VideoFacts
 
 
@@ -287,48 +286,3 @@ def test_exactly_one_source_must_be_given(tmp_path):
         with pytest.raises(SourceError, match=naming(word)):
             open_source(*given)
     assert isinstance(open_source(tmp_path, None, True), ImageFolder)
-
-
-def test_a_folder_gives_its_newest_file_once(tmp_path):
-    for folder in (tmp_path, tmp_path / "missing"):  # empty, or missing
-        with pytest.raises(SourceError):
-            FrameTaker(ImageFolder(folder, every=False), waits_s=0.05).take()
-    for n in range(3):
-        put(tmp_path, f"{n}.png", COLOURS[n], 10 + n)
-    taker = FrameTaker(ImageFolder(tmp_path, every=False), waits_s=0.1)
-    assert taker.take().name == "2.png"
-    with pytest.raises(SourceError):
-        taker.take()
-    put(tmp_path, "new.png", COLOURS[3])
-    assert taker.take().name == "new.png"
-
-
-def test_a_video_plays_until_it_ends(film, tmp_path, monkeypatch):
-    taken = threading.Event()
-
-    def play(_):
-        yield picture((0, 0, 0))
-        assert taken.wait(600)
-        yield from (picture((k, k, k)) for k in range(1, 50))
-
-    monkeypatch.setattr(frame_sources, "read_video", play)
-    source = Video(tmp_path / "film.mp4", every=False)
-    taker = FrameTaker(source)
-    assert taker.take().number == 0
-    taken.set()
-    while not source._ended:
-        time.sleep(0.001)
-    assert taker.take().number == 49
-    with pytest.raises(SourceError):
-        taker.take()
-
-
-def test_a_camera_settles_first_and_stays_open_until_it_is_closed(capture, monkeypatch):
-    monkeypatch.setattr(capture, "images", 10**6)
-    monkeypatch.setattr(frame_sources, "SETTLES_S", 0.2)
-    taker = FrameTaker(Camera("0"))
-    first, second = taker.take(), taker.take()
-    assert second.number > first.number > 0
-    assert capture.released == 0
-    taker.close()
-    assert capture.released == 1
