@@ -40,7 +40,7 @@ def register_kinds() -> list[ComponentKind]:
     """Return the kind of plugin that is a command: how it is checked, and what `new-plugin` writes."""
     usage = "tactile-loc {name} --object pin"
     return [
-        ComponentKind(COMMAND, "tactile_loc.testing.commands", f"{__name__}.scaffold", "the size of an object", usage)
+        ComponentKind(COMMAND, f"{__name__}.command_checks", f"{__name__}.scaffold", "the size of an object", usage)
     ]
 
 

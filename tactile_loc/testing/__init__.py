@@ -25,8 +25,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from tactile_loc.slots.component import Component
-from tactile_loc.slots.registry import CommandSpec, registry
-from tactile_loc.testing import commands  # noqa: F401 - adds its checks
+from tactile_loc.slots.registry import COMMAND, CommandSpec, registry
 from tactile_loc.testing.contract import CHECKS, Check, ContractError, check
 
 __all__ = [
@@ -69,14 +68,14 @@ def parametrize_with_properties(components: Iterable[Component]) -> Any:
 
 def _list_all(component: Component | CommandSpec) -> list[Check]:
     """Import the checks of the component's kind. Return the checks and properties that apply to the component."""
-    if isinstance(component, CommandSpec):
-        return [check for check in CHECKS if check.slot == "command"]
-    if not isinstance(component, Component):
+    if not isinstance(component, Component | CommandSpec):
         raise TypeError(f"checks need an instance of a component, not {component!r}")
-    kinds = registry().kinds
-    if component.slot in kinds:
-        kind = kinds[component.slot]
-        importlib.import_module(kind.checks if kind else f"tactile_loc.testing.{component.slot}s")
+    slot, kinds = COMMAND if isinstance(component, CommandSpec) else component.slot, registry().kinds
+    if slot in kinds:
+        kind = kinds[slot]
+        importlib.import_module(kind.checks if kind else f"tactile_loc.testing.{slot}s")
+    if isinstance(component, CommandSpec):
+        return [check for check in CHECKS if check.slot == COMMAND]
     return [check for check in CHECKS if check.applies_to(component)]
 
 
