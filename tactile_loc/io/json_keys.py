@@ -8,19 +8,14 @@ from typing import Any
 import numpy as np
 
 OR_NULL = " or null"
-REQUIRED = object()  # the default of a key that every document has
 
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a document: the type of its value, a key of TYPES with or without " or null", and its meaning.
-
-    A document without the key, which an older version wrote, has the value `default`.
-    """
+    """A key of a document: the type of its value, a key of TYPES with or without " or null", and its meaning."""
 
     type: str
     meaning: str
-    default: Any = REQUIRED
 
 
 Keys = Mapping[str, Key]
@@ -47,7 +42,7 @@ def make_json(value: Any) -> Any:
 
 
 def read_keys(keys: Keys, document: Any, where: str = "") -> dict[str, Any]:
-    """Return the values of `keys` in a document, with defaults; `where` is the document's place in the file.
+    """Return the values of `keys` in a document; `where` is the document's place in the file.
 
     Raises ValueError, which names the place, if a key is missing or unknown, or a value has another type.
     """
@@ -58,12 +53,12 @@ def read_keys(keys: Keys, document: Any, where: str = "") -> dict[str, Any]:
         raise ValueError(f"{prefix}{unknown[0]} is unknown")
     found = {}
     for name, key in keys.items():
-        if name not in document and key.default is REQUIRED:
+        if name not in document:
             raise ValueError(f"{prefix}{name} is missing")
-        value = found[name] = document.get(name, key.default)
-        kind = key.type.removesuffix(OR_NULL)
-        if name in document and not (value is None and kind != key.type) and not TYPES[kind](value):
+        value, kind = document[name], key.type.removesuffix(OR_NULL)
+        if not (value is None and kind != key.type) and not TYPES[kind](value):
             raise ValueError(f"{prefix}{name} must be {key.type}")
+        found[name] = value
     return found
 
 

@@ -28,7 +28,6 @@ from tactile_loc.store.arrays import load_npz
 from tactile_loc.store.files import parse_json, write_atomically
 
 NAME = "result.npz"
-READ_VERSIONS = ("1", str(SCHEMA_VERSION))  # version 1 also has the contact shapes of the hypotheses
 MOST_POSES = 20_000
 MOST_FACES = 50_000
 
@@ -65,7 +64,7 @@ def read_arrays(path: Path, document: dict[str, Any]) -> Arrays:
     except (OSError, ValueError) as error:
         raise ResultError(f"{path} is damaged: it cannot be read as .npz; {AGAIN}") from error
     version = stored.pop("schema_version", None)
-    if str(version) not in READ_VERSIONS:
+    if str(version) != str(SCHEMA_VERSION):
         raise ResultError(f"{path} has version {version}, but this tactile-loc reads version {SCHEMA_VERSION}; {AGAIN}")
     if str(stored.pop("result_sha256", "")) != hash_document(document):
         raise ResultError(f"{path} belongs to another result than the .json file beside it; {AGAIN}")

@@ -77,7 +77,7 @@ RESULT: Keys = {
     ),
     "posterior_touches": Key("integer", "number of touches behind the posterior, with those behind a prior"),
     "entropy_nats": Key("number", "Shannon entropy of the posterior, nats"),
-    "refined_by": Key("object or null", "what refined the poses; null in files of older versions", None),
+    "refined_by": Key("object or null", "what refined the poses; null if unknown"),
     "hypotheses": Key("list", "distinct explanations, the best first"),
     "pose_set": Key("object or null", "the set that the hypotheses are; null unless a coverage was requested"),
     "errors": Key("object or null", "errors of the answer; null if the true pose is unknown"),
@@ -108,12 +108,11 @@ TOUCH: Keys = {
     "indentation_std_m": Key(
         "number", "standard deviation of the indentation's error, m, if the sensor knows it; else 0"
     ),
-    "depths_known": Key("true or false", "false for a contact mask, which has no depths", True),
+    "depths_known": Key("true or false", "false for a contact mask, which has no depths"),
     "gel_law": Key(
-        "text or null",
+        "text",
         "the law of the gel by which the touch was located: `rigid`, `layer`, or `outlined layer`, whose contact ends "
-        "where the surface is steepest; null in files of older versions",
-        None,
+        "where the surface is steepest",
     ),
     "T_sensor_object": Key("4 x 4 numbers or null", "the true pose, m; null if unknown"),
     "best_imprint_iou": Key(
