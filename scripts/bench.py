@@ -17,6 +17,7 @@ import math
 import os
 import platform
 import re
+import shlex
 import subprocess
 import sys
 import time
@@ -244,7 +245,7 @@ def format_command(kept: Kept) -> str:
     is_ours = (BENCHMARKS / f"{kept.benchmark}.py").exists()
     threads = [f"{name}={value}" for name, value in _read_threads(kept).items()]
     program = f"python benchmarks/{kept.benchmark}.py" if is_ours else kept.benchmark
-    return " ".join([*threads, program, *kept.arguments])
+    return " ".join([*threads, program, shlex.join(kept.arguments)]).strip()
 
 
 def keep_all() -> int:

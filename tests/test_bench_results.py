@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import shlex
 import subprocess
 
 import bench
@@ -130,6 +131,12 @@ def test_a_benchmark_is_run_and_its_results_are_saved(tmp_path, monkeypatch, cap
 
 def test_the_page_matches_the_saved_results():
     assert bench.PAGE.read_text() == bench.format_page()
+
+
+def test_a_shell_reads_the_arguments_of_the_stated_command_again():
+    arguments = ["a.obj:m", "--asked", "(gear|cam)", "--readings", "two words"]
+    command = bench.format_command(dataclasses.replace(kept("0.1.0"), arguments=arguments))
+    assert shlex.split(command)[-len(arguments) :] == arguments
 
 
 def test_saved_results_contain_no_paths():
