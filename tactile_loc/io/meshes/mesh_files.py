@@ -205,16 +205,20 @@ def load_object(
 
 
 def _find_scale(surface: Surface, units: str, name: str) -> tuple[float, list[str]]:
-    """Return metres per file unit, and a list with a note if the unit was guessed, because the file does not state it.
+    """Return metres per file unit, and a list with a note if the unit was guessed, or is not the stated one.
 
     A length below 1 is taken as metres, any other length as mm, because touched objects are 1 mm to 1 m long.
     """
     if units not in get_args(Units):
         raise ObjectError(f"the unit {units!r} of {name} is unknown; give one of {', '.join(get_args(Units))}")
-    if units != "auto":
-        return METRES_PER_UNIT[units], []
-    if surface.metres_per_unit is not None:
-        return surface.metres_per_unit, []
+    stated, asked = surface.metres_per_unit, METRES_PER_UNIT.get(units)
+    if asked is not None and stated is not None and not np.isclose(asked, stated, rtol=1e-6):
+        return asked, [
+            f"{name} is read in {units}, as given, {asked / stated:.3g} times the size that it states; leave out "
+            "`units` to read it as it states"
+        ]
+    if scale := asked or stated:
+        return scale, []
     size = float(np.ptp(surface.vertices, axis=0).max())
     guess = "m" if size < 1.0 else "mm"
     scale = METRES_PER_UNIT[guess]

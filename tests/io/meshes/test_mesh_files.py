@@ -77,6 +77,16 @@ def test_the_unit_that_a_3mf_file_states_is_used(tmp_path):
         load_object(write_3mf(tmp_path / "part.3mf", "inch", (1, 7)), "m")
 
 
+def test_a_note_names_a_unit_that_differs_from_the_stated_one(tmp_path, caplog):
+    write_3mf(tmp_path / "part.3mf", "inch")
+    obj = load_object(tmp_path / "part.3mf", units="cm", symmetry="none")
+    np.testing.assert_allclose(obj.mesh.extents_m, [0.03, 0.02, 0.01])  # the given unit wins
+    (note,) = obj.notes
+    assert note == caplog.messages[0]
+    assert re.search(naming("part.3mf", "cm", 0.394, "`units`"), note)  # 10 mm / 25.4 mm
+    assert load_object(tmp_path / "part.3mf", units="inch", symmetry="none").notes == ()
+
+
 def test_a_missing_library_is_named(tmp_path, monkeypatch):
     def lack(*_, **__):
         raise ModuleNotFoundError("No module named 'lxml'", name="lxml")
