@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from tactile_loc.evaluation.simulated_touches import SimulatedTouches
     from tactile_loc.evaluation.table import EvaluatedRun, ExampleTable
     from tactile_loc.locate.localizer import Localizer
+
+log = logging.getLogger(__name__)
 
 DEFAULT_COUNT, DEFAULT_TOGETHER, DEFAULT_NOISES = 20, (1, 2, 3), ("none", "strong")
 
@@ -81,6 +84,8 @@ def _evaluate_own(
         together = numbers or tuple(range(1, min(examples.most, MOST_FUSED) + 1))
         examples.require_touches(together)
         runs.append(_evaluate(job, localizer, examples, together))
+    if doubt := examples.find_doubt():
+        log.warning(doubt)
     return runs, {"examples": examples.count, "touches": [str(path) for path in touches]}
 
 

@@ -15,7 +15,7 @@ from tactile_loc.core.poses.pose_errors import RIGHT_M
 from tactile_loc.core.runtime.errors import GridError, TouchError
 from tactile_loc.evaluation.metrics import METRICS, PoseJudge
 from tactile_loc.evaluation.protocol import measure_in_shards
-from tactile_loc.evaluation.recall.examples import ExampleSource, TouchedExample
+from tactile_loc.evaluation.recall.examples import ExampleSource, TouchedExample, measure_true_ious
 from tactile_loc.evaluation.simulated_touches import require_true_pose
 from tactile_loc.evaluation.table import ExampleTable, name_errors, sort_numbers
 from tactile_loc.locate.localizer import Localizer
@@ -176,10 +176,7 @@ def is_determined(observations: Sequence[Observation], hypotheses: Sequence[Hypo
     `errors_m` (K,), metres, are the hypotheses' pose errors. A pose is wrong above `RIGHT_M`. Raises TouchError
     if a touch has no true pose.
     """
-    true = [
-        localizer.scene.match_touch(touch).imprint_ious(require_true_pose(touch)[None], touch)[0]
-        for localizer, touch in observations
-    ]
+    true = measure_true_ious(observations)
     ious = np.array([hypothesis.imprint_iou for hypothesis in hypotheses])
     return not bool(((errors_m > RIGHT_M) & explain_as_well(ious, float(np.mean(true)))).any())
 

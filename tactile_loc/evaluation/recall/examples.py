@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from tactile_loc.core.geometry.rigid import invert
+from tactile_loc.core.geometry.rigid import Floats, invert
 from tactile_loc.core.runtime.errors import ConfigError, TouchError
+from tactile_loc.core.runtime.formatting import format_percent
 from tactile_loc.core.sensing.noise import make_noise
 from tactile_loc.core.sensing.touch import Touch
 from tactile_loc.evaluation.robot_touches import RobotTouches
-from tactile_loc.evaluation.simulated_touches import SimulatedTouches
+from tactile_loc.evaluation.simulated_touches import SimulatedTouches, require_true_pose
 from tactile_loc.io.touch_lists import Example, read_labelled_touches
 from tactile_loc.locate.localizer import Localizer
 from tactile_loc.locate.several_touches import Observation
@@ -27,6 +28,7 @@ from tactile_loc.store.keys import hash_arrays
 
 RENDERER = "zbuffer"
 OWN = "own touches"  # the noise or kind of labelled touches
+LEAST_TRUE = 0.1  # a smaller imprint IoU at the true pose is unusual; strong noise causes it in a fifth of the touches
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +128,20 @@ class LabelledExamples:
                 "the touches of one object at rest alike in the column 'example', or give a list of touches (.toml)"
             )
 
+    def find_doubt(self) -> str:
+        """Return a sentence if the true poses of most touches put the object where it does not touch, otherwise ""."""
+        observations = [one for number in range(self.count) for one in self.draw(number).observations]
+        ious = measure_true_ious(observations)
+        wrong = [touch.name for (_, touch), iou in zip(observations, ious, strict=True) if iou < LEAST_TRUE]
+        if 2 * len(wrong) <= len(observations):
+            return ""
+        return (
+            f"the true poses of {len(wrong)} of {len(observations)} touches hardly put the object where it touches "
+            f"(imprint IoU below {format_percent(LEAST_TRUE)}), such as that of {wrong[0]}; check the frames "
+            "(T_sensor_object, not inverted), the unit (mm in tables, metres in poses.json and lists), the order of "
+            "the quaternion, and which file each pose belongs to"
+        )
+
     def draw(self, number: int) -> TouchedExample:
         """Return an example by its number. It ends before the first touch that cannot be read.
 
@@ -156,6 +172,16 @@ class LabelledExamples:
 
 ExampleSource = DrawnExamples | LabelledExamples
 """A series of examples. Example number i is always the same."""
+
+
+def measure_true_ious(observations: Iterable[Observation]) -> Floats:
+    """Return the imprint IoUs (N,) of touches with their true poses. Raises TouchError if a touch has no true pose."""
+    return np.array(
+        [
+            localizer.scene.match_touch(touch).imprint_ious(require_true_pose(touch)[None], touch)[0]
+            for localizer, touch in observations
+        ]
+    )
 
 
 def _place_sensors(touches: list[Touch]) -> list[Touch]:

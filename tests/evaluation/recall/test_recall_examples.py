@@ -1,6 +1,7 @@
 """Examples: simulated ones are reproducible, and those of touch files keep their poses and problems."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,14 @@ import pytest
 from message_helpers import naming
 
 from tactile_loc import Localizer, write_touch
-from tactile_loc.core.geometry.rigid import axis_angle, rotation_angle
+from tactile_loc.core.geometry.rigid import (
+    axis_angle,
+    invert,
+    make_transform,
+    quaternion_to_rotation,
+    rotation_angle,
+    rotation_to_quaternion,
+)
 from tactile_loc.core.sensing.noise import NOISE
 from tactile_loc.evaluation.recall.examples import DrawnExamples, LabelledExamples
 from tactile_loc.evaluation.simulated_touches import SimulatedTouches
@@ -68,6 +76,24 @@ def write_table(folder: Path, touches, example: str = "x") -> Path:
     path = folder / "poses.csv"
     path.write_text("touch,x_mm,y_mm,z_mm,turn_deg,axis_x,axis_y,axis_z,example\n" + "\n".join(rows) + "\n")
     return path
+
+
+def turn(T):
+    """Return a pose with its quaternion's scalar moved from the first to the last place."""
+    return make_transform(quaternion_to_rotation(np.roll(rotation_to_quaternion(T[:3, :3]), -1)), T[:3, 3])
+
+
+def test_true_poses_in_another_unit_or_frame_are_doubted(hook, folder, touches):
+    assert LabelledExamples.read(hook, [write_table(folder, touches)]).find_doubt() == ""
+    for spoil in (lambda T: make_transform(T[:3, :3], 1e-3 * T[:3, 3]), invert, turn):
+        wrong = [dataclasses.replace(touch, T_sensor_object=spoil(touch.T_sensor_object)) for touch in touches]
+        doubt = LabelledExamples.read(hook, [write_table(folder, wrong)]).find_doubt()
+        assert re.search(naming("3 of 3", touches[0].name, "unit", "inverted"), doubt)
+
+
+def test_one_wrong_true_pose_of_three_may_be_noise(hook, folder, touches):
+    spoiled = dataclasses.replace(touches[0], T_sensor_object=invert(touches[0].T_sensor_object))
+    assert LabelledExamples.read(hook, [write_table(folder, [spoiled, *touches[1:]])]).find_doubt() == ""
 
 
 def test_the_known_poses_give_the_sensors_poses(hook, folder, touches):
