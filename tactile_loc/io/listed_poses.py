@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tactile_loc.core.geometry.rigid import (
+    FARTHEST_M,
     Floats,
     Poses,
     make_transform,
@@ -23,7 +24,7 @@ from tactile_loc.store.files import read_text
 
 Scale = Literal["proportional", "log", "equal"]
 BOP = ("scene_id", "im_id", "obj_id")  # columns that must have one value in a file
-NEAREST_BOP_M, FARTHEST_M = 5e-3, 20.0  # distances of objects from a camera; others have another unit
+NEAREST_BOP_M = 5e-3  # from a camera; a smaller distance has another unit
 SUFFIXES = (".csv", ".npz", ".json")
 
 

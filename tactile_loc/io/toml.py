@@ -16,6 +16,7 @@ from tactile_loc.core.geometry.rigid import (
     Floats,
     make_transform,
     quaternion_to_rotation,
+    require_near,
     require_rigid,
     require_unit,
     rotation_about,
@@ -28,7 +29,8 @@ Rows = list[list[float]]
 
 
 def _require_rigid(rows: Rows, info: ValidationInfo) -> Rows:
-    return cast(Rows, require_rigid(rows, str(info.field_name)).tolist())
+    name = str(info.field_name)
+    return cast(Rows, require_near(require_rigid(rows, name), name).tolist())
 
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -153,7 +155,7 @@ class PoseKeys(BaseModel):
         position = _choose_key(given, tuple(POSITIONS_M), "position", matrix)
         rotation = _choose_key(given, ROTATIONS, "rotation", matrix)
         t_m = POSITIONS_M[position] * np.array(getattr(self, position), float)
-        return make_transform(_read_rotation(rotation, getattr(self, rotation)), t_m)
+        return require_near(make_transform(_read_rotation(rotation, getattr(self, rotation)), t_m), position)
 
 
 def to_array(rows: Sequence[Sequence[float]] | None) -> Floats | None:

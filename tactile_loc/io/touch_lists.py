@@ -19,6 +19,7 @@ from tactile_loc.core.geometry.rigid import (
     invert,
     make_transform,
     quaternion_to_rotation,
+    require_near,
     require_rigid,
     require_unit,
     rotation_about,
@@ -238,7 +239,8 @@ def _read_row(folder: Path, row: Row, rotation: Sequence[str]) -> ListedTouch:
         R = quaternion_to_rotation(require_unit(numbers, "the quaternion", TouchError))
     else:
         R = rotation_about(require_unit(numbers[1:], "the axis", TouchError), np.radians(numbers[0]))
-    return ListedTouch(file, T_sensor_object=make_transform(R, place_m))
+    T = require_near(make_transform(R, place_m), "the place", TouchError)
+    return ListedTouch(file, T_sensor_object=T)
 
 
 def _require_touch(folder: Path, name: str) -> Path:
@@ -262,7 +264,8 @@ def _read_poses(path: Path) -> Iterator[Example]:
     for name, T in poses.items():
         with name_source(f"{path}, {name}"):
             file = _require_touch(path.parent, f"{name}.npz")
-            yield (ListedTouch(file, T_sensor_object=require_rigid(T, "T_sensor_object", TouchError)),)
+            T_sensor_object = require_rigid(T, "T_sensor_object", TouchError)
+            yield (ListedTouch(file, T_sensor_object=require_near(T_sensor_object, "T_sensor_object", TouchError)),)
 
 
 def _read_list(path: Path) -> list[Example]:

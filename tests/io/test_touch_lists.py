@@ -51,6 +51,30 @@ def test_every_key_of_a_list_is_read(folder):
     np.testing.assert_allclose([first.T_base_sensor, second.T_base_sensor], [T, T], atol=1e-15)
 
 
+@pytest.mark.parametrize(
+    "pose",
+    [
+        "xyz_m = [400.0, 10.0, 90.0]\nrpy_deg = [0, 0, 90]\n",
+        "T_base_sensor = [[1, 0, 0, 400.0], [0, 1, 0, 10.0], [0, 0, 1, 90.0], [0, 0, 0, 1]]\n",
+    ],
+)
+def test_a_sensor_that_stands_hundreds_of_metres_away_has_another_unit(folder, pose):
+    with pytest.raises(TouchError, match=naming("touch 1", "410 m", "unit")):
+        read_touch_list(written(folder, 'path = "a.npz"\n' + pose))
+
+
+def test_known_poses_hundreds_of_metres_away_have_another_unit(folder):
+    rows = "touch,x_mm,y_mm,z_mm,qw,qx,qy,qz\na.npz,4e5,0,0,1,0,0,0\n"
+    (folder / "poses.csv").write_text(rows)
+    with pytest.raises(TouchError, match=naming("row 1", "400 m", "unit")):
+        read_labelled_touches(folder / "poses.csv")
+    far = np.diag([1.0, 1, 1, 1])
+    far[0, 3] = 400.0
+    (folder / "poses.json").write_text(json.dumps({"T_sensor_object": {"a": far.tolist()}}))
+    with pytest.raises(TouchError, match=naming("poses.json", "400 m", "unit")):
+        read_labelled_touches(folder / "poses.json")
+
+
 def test_a_touch_takes_metres_and_a_quaternion_as_results_give_them(folder):
     pose = f"xyz_m = [0.1, -0.02, 0.3]\nquaternion_xyzw = [0, 0, {HALF}, {HALF}]\n"
     (touch,) = read_touch_list(written(folder, 'path = "a.npz"\n' + pose))
@@ -59,7 +83,10 @@ def test_a_touch_takes_metres_and_a_quaternion_as_results_give_them(folder):
     assert single.T_base_sensor is None
 
 
-@pytest.mark.parametrize("pose", [POSE, POSE.replace("xyz_mm", "xyz_m"), f"T_base_sensor = {T.tolist()}\n"])
+@pytest.mark.parametrize(
+    "pose",
+    [POSE, POSE.replace("xyz_mm = [100, -20, 300]", "xyz_m = [0.1, -0.02, 0.3]"), f"T_base_sensor = {T.tolist()}\n"],
+)
 def test_a_touch_with_a_mount_takes_no_second_pose(folder, pose):
     (folder / "mount.toml").write_text(f"T_flange_sensor = {T.tolist()}\n")
     table = f'path = "a.npz"\nmount = "mount.toml"\nT_base_flange = {T.tolist()}\n'

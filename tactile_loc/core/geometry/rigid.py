@@ -16,6 +16,7 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 ROUNDED = 1e-3  # largest difference from a rotation that rounding to three decimals explains
+FARTHEST_M = 20.0  # from a robot's base or a camera; a number in a file that is larger has another unit
 LEAST_RAD = 1e-15  # a smaller angle counts as this one, so that a division by it is possible
 UNIT_TOLERANCE = 0.005  # largest difference of a unit vector's length from 1, as in tf2
 
@@ -194,6 +195,14 @@ def require_rigid(T: ArrayLike, what: str, error: type[TactileLocError] = Config
     if fault:
         raise error(f"{what} is not a rigid transform: {fault}")
     return make_transform(nearest, found[:3, 3])
+
+
+def require_near(T: Floats, what: str, error: type[TactileLocError] = ConfigError) -> Floats:
+    """Return a transform (4, 4), metres. Raises `error`, with `what` as its name, if its unit is probably another."""
+    length_m = float(np.linalg.norm(T[:3, 3]))
+    if length_m > FARTHEST_M:
+        raise error(f"{what} is {length_m:,.0f} m long, so its unit is probably wrong (a matrix is in metres)")
+    return T
 
 
 def _find_fault(T: Floats, nearest: Floats, stretches: Floats) -> str:

@@ -21,6 +21,7 @@ KINDS: tuple[DepthKind, ...] = get_args(DepthKind)
 METRES_PER_UNIT: dict[DepthUnit, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 OPPOSITE: dict[DepthKind, DepthKind] = {"distance": "indentation", "indentation": "distance"}
 
+LEAST_PRESS_M = 1e-5  # no gel shows a smaller press; such a number has another unit
 LEVEL = 0.05  # depths within this share of the range count as equal to the least depth
 MOST_DEEPEST, MOST_BORDER = 0.3, 0.5  # shares of the image and of its border that a real touch presses in deepest
 MOST_DIMPLE = 0.5  # depth, share of a given press depth, of a dimple in a flat face that fills the image
@@ -56,11 +57,11 @@ def require_numbers(values: NDArray[Any], name: str) -> NDArray[Any]:
 
 
 def require_in_range(press_depth_m: float, max_depth_m: float, name: str) -> None:
-    """Raise TouchError if a press depth is beyond the sensor's range."""
-    if not 0 < press_depth_m <= max_depth_m * (1 + 1e-6):
+    """Raise TouchError if a press depth is beyond the sensor's range, or so small that its unit is wrong."""
+    if not LEAST_PRESS_M <= press_depth_m <= max_depth_m * (1 + 1e-6):
         raise TouchError(
-            f"{name} has a press depth of {press_depth_m * 1e3:.3g} mm, but the sensor's range is 0 to "
-            f"{max_depth_m * 1e3:.3g} mm; choose the sensor that took it"
+            f"{name} has a press depth of {press_depth_m * 1e3:.6g} mm, but the sensor's range is "
+            f"{LEAST_PRESS_M * 1e3:g} to {max_depth_m * 1e3:.6g} mm; choose the sensor that took it, or check the unit"
         )
 
 

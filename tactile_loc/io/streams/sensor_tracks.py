@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tactile_loc.core.geometry.frame_tree import Edge
-from tactile_loc.core.geometry.rigid import Floats, make_transform, quaternion_to_rotation, require_unit
+from tactile_loc.core.geometry.rigid import FARTHEST_M, Floats, make_transform, quaternion_to_rotation, require_unit
 from tactile_loc.core.runtime.errors import FrameError, name_source
 from tactile_loc.core.runtime.formatting import show_name
 from tactile_loc.io.csv_tables import Row, read_number, read_table, require_columns
@@ -21,7 +21,6 @@ METRES_PER_COLUMN: dict[tuple[str, ...], float] = {
     ("x_mm", "y_mm", "z_mm"): 1e-3,
 }
 QUATERNION = ("qx", "qy", "qz", "qw")
-LARGEST_M = 20.0  # a sensor farther from the robot's base has its place in another unit
 USUAL_HZ = 30.0  # rate of images whose times are unknown
 
 
@@ -115,7 +114,7 @@ def _find_place_columns(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
 def _read_pose(row: Row, places: tuple[str, ...]) -> Floats:
     """Return the pose (4, 4), metres, of a row."""
     place_m = METRES_PER_COLUMN[places] * np.array([read_number(row, name, FrameError) for name in places])
-    if np.abs(place_m).max() > LARGEST_M:
+    if np.linalg.norm(place_m) > FARTHEST_M:
         raise FrameError(
             f"the sensor is {np.linalg.norm(place_m):,.0f} m from the base; name the columns x_mm, y_mm and z_mm if "
             "the places are in mm"

@@ -117,6 +117,13 @@ def test_depths_in_too_small_a_unit_are_refused_with_advice_about_the_unit() -> 
         Touch(contact_shape_from_array(in_mm * 1e-6, 2 * MM), PINHOLE)
 
 
+@pytest.mark.parametrize(("press_m", "shown"), [(1e-6, "0.001 mm"), (2 * MM * 1.0004, "2.0008 mm")])
+def test_a_press_depth_that_no_gel_shows_is_refused_and_shown_with_enough_digits(press_m, shown) -> None:
+    depth_m = np.tile(np.linspace(0, 2 * press_m, 8), (6, 1))
+    with pytest.raises(TouchError, match=naming(shown, "unit")):
+        contact_shape_from_array(depth_m, 2 * MM, press_m)
+
+
 def test_advice_on_far_too_large_depths_depends_on_who_states_the_unit() -> None:
     with pytest.raises(TouchError, match="`touch_unit`"):
         contact_shape_from_array(np.full((6, 8), 3.0), 2 * MM)
