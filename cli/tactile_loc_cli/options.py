@@ -49,7 +49,7 @@ OBJECT = ("object", "units", "symmetry")
 TOUCH_FILES = ("touch_unit", "touch_kind")
 SETTINGS = ("option", "config")
 SEARCH = ("grid", "renderer", "encoder", "matcher", "refiner")
-OF_FRAMES = (*OBJECT, *TOUCH_FILES, "press_depth", "sensor", *SEARCH, *SETTINGS, "seed")
+OF_FRAMES = (*OBJECT, *TOUCH_FILES, "press_depth", "sensor", "zero", *SEARCH, *SETTINGS, "seed")
 READ_FROM = {  # advice for sensors that are chosen by their path
     "file": "give the file itself: --sensor my_sensor.toml",
     "calibrated": "give the calibration folder itself: --sensor FOLDER",

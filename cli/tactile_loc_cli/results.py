@@ -179,7 +179,8 @@ def _list_hand_eye_cells(touch: HandEyeTouchRecord) -> list[str]:
 def say_next_touch(found: NextTouch, top: int) -> None:
     """Write the best approaches, the approaches out of reach, and the poses that no approach distinguishes."""
     modes = found.modes
-    say(f"{modes.object_names}: {len(modes.probabilities)} possible poses, entropy {modes.entropy:.2f} nats")
+    poses = format_count(len(modes.probabilities), "possible pose")
+    say(f"{modes.object_names}: {poses}, entropy {modes.entropy:z.2f} nats")
     header = ["rank", "approach", "information nats", "entropy left nats", "contact %", "travel mm", "cost", "worth"]
     rows = [[str(rank), *_list_rated_cells(one)] for rank, one in enumerate(found.ranked[:top], 1)]
     say_table([header, *rows], left=2, gap=2)

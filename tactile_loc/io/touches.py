@@ -96,7 +96,8 @@ def read_contents(path: Path, geometry: SensorGeometry | None = None) -> FileCon
     with guard_reading(path):
         if suffix not in readers:
             read_colour_image(path)  # names the kind of another picture
-            raise TouchError(f"{path} is {PHOTO if suffix in IMAGE_SUFFIXES else 'not a touch file'}; give {FORMATS}")
+            kind = PHOTO if suffix in IMAGE_SUFFIXES else "not a touch file"
+            raise TouchError(f"{path} is {kind}; give {FORMATS}, or with a calibrated sensor a photo, PNG or JPEG")
         return readers[suffix](path, geometry)
 
 

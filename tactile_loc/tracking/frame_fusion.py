@@ -1,5 +1,6 @@
 """Replays that use all images of a recording: a track, or one fused pose of an object at rest."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -128,7 +129,8 @@ def fuse_frames(source: ReplaySource) -> tuple[RestPose, list[ReplayedFrame]]:
     kept = KeySearch(localizer).add_new_places(touches).touches
     keys = choose_telling(localizer, kept, np.empty((0, 4, 4)), MOST_KEYS)
     if not keys:
-        raise RecordingError(f"none of the {source.about} shows contact at a known sensor pose")
+        says = f"none of the {source.about} shows contact at a known sensor pose"
+        raise RecordingError(says + _explain_refusals(source))
     found = localize_together([(localizer, key) for key in keys])
     T_base_sensor = np.asarray(found.touch.T_base_sensor)
     T, C = T_base_sensor @ found.best.T_sensor_object, found.best.refined.covariance
@@ -141,6 +143,12 @@ def fuse_frames(source: ReplaySource) -> tuple[RestPose, list[ReplayedFrame]]:
     known = np.array([iou for iou in ious if not np.isnan(iou)])
     rest = RestPose(found, numbers, T, C, known, options.least_iou)
     return rest, [_record(rest, frame, iou) for frame, iou in zip(frames, ious, strict=True)]
+
+
+def _explain_refusals(source: ReplaySource) -> str:
+    """Return the most frequent reason why images are refused, to follow a message; "" if none is."""
+    problems = Counter(str(frame.problem) for frame in source.read_frames() if frame.problem and not _is_usable(frame))
+    return "".join(f"; most often: {problem}" for problem, _ in problems.most_common(1))
 
 
 def _is_usable(frame: ReplayFrame) -> bool:

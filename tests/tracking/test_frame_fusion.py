@@ -86,9 +86,20 @@ def test_images_are_used_together_only_with_sensor_poses(localizer, frames):
         with pytest.raises(FrameError):
             use(source)
     unknown = [replace(frame, T_base_sensor=None, problem=FrameError("unknown")) for frame in frames]
-    with pytest.raises(RecordingError):
+    with pytest.raises(RecordingError, match="unknown"):
         fuse_frames(Images(localizer, unknown))
     assert [record.located.verdict for record in track_frames(Images(localizer, unknown))] == [None] * COUNT
+
+
+def test_the_most_frequent_reason_is_given_if_no_image_is_a_touch(localizer, frames):
+    refused = [replace(frame, touch=None, problem=TouchError("depths up to 1 m")) for frame in frames]
+    refused[0] = replace(refused[0], problem=TouchError("damaged"))
+    with pytest.raises(RecordingError, match="depths up to 1 m"):
+        fuse_frames(Images(localizer, refused))
+    empty = [replace(frame, touch=None, problem=NoContactError("nothing")) for frame in frames]
+    with pytest.raises(RecordingError) as caught:
+        fuse_frames(Images(localizer, empty))
+    assert "nothing" not in str(caught.value)
 
 
 def test_a_track_predicts_without_contact_and_skips_refused_images(localizer, frames):

@@ -44,6 +44,7 @@ Given = Annotated[
         *options.TOUCH_FILES,
         "press_depth",
         "sensor",
+        "zero",
         *options.SETTINGS,
         symmetry="Rotational symmetry of every object, such as none or z6. Default: auto, detected for each object.",
     ),

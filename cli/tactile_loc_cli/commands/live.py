@@ -57,7 +57,7 @@ Port = Annotated[
     declare("--port N", f"Port of the view on this machine; 0 takes a free one. Default: {PORT}.", show_default=False),
 ]
 View = Annotated[bool, typer.Option("--view/--no-view", help="Show frames and poses on a local web page.")]
-Given = Annotated[RunOptions, options.Takes(*options.OF_FRAMES, "zero", object=options.TOUCHED)]
+Given = Annotated[RunOptions, options.Takes(*options.OF_FRAMES, object=options.TOUCHED)]
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ Nominal = Annotated[
 Out = Annotated[Path, declare("--out FOLDER", "Folder of mount.toml and mount.png.")]
 Given = Annotated[
     RunOptions,
-    options.Takes(*options.OBJECT, *options.TOUCH_FILES, "sensor", *options.SETTINGS, object=options.TOUCHED),
+    options.Takes(*options.OBJECT, *options.TOUCH_FILES, "sensor", "zero", *options.SETTINGS, object=options.TOUCHED),
 ]
 
 

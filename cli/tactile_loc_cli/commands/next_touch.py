@@ -13,7 +13,7 @@ import typer
 from tactile_loc.core.runtime.errors import ConfigError, ResultError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli import options
-from tactile_loc_cli.console import say_written
+from tactile_loc_cli.console import format_count, say_written
 from tactile_loc_cli.options import declare
 
 if TYPE_CHECKING:
@@ -163,7 +163,8 @@ def next_touch(
     found = choose(modes, approaches, clearance=clearance)
     document = write_next_touch(found)
     say_next_touch(found, top)
-    title = f"{modes.object_names}: {len(modes.probabilities)} possible poses, {len(found.ranked)} approaches"
+    poses, rated = format_count(len(modes.probabilities), "possible pose"), format_count(len(found.ranked), "approach")
+    title = f"{modes.object_names}: {poses}, {rated}"
     written = [
         write_json(out / "next_touch.json", document),
         save_figure(out / "next_touch.png", draw_next_touch(found, title)),

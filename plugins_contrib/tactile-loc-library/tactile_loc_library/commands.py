@@ -65,7 +65,9 @@ Unknown = Annotated[
     float, declare("--unknown SHARE", "Share of touched objects that are no part, before any touch: above 0, below 1.")
 ]
 Workers = Annotated[WorkerOptions, Takes("workers", "scheduler")]
-GivenTouch = Annotated[RunOptions, Takes("touch_unit", "touch_kind", "press_depth", "sensor", "option", "config")]
+GivenTouch = Annotated[
+    RunOptions, Takes("touch_unit", "touch_kind", "press_depth", "sensor", "zero", "option", "config")
+]
 
 application = typer.Typer()
 

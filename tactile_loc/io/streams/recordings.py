@@ -92,7 +92,10 @@ class Recording:
         if os.path.isdir(self.path) and not os.path.isfile(self.path / "metadata.yaml"):
             if os.path.isfile(self.path / "meta" / "info.json"):
                 raise RecordingError(f"{self.path} is a data set of LeRobot; {DATASETS}")
-            raise RecordingError(f"{self.path} is not a ROS 2 bag: it has no metadata.yaml; give {FORMATS}")
+            raise RecordingError(
+                f"{self.path} is not a ROS 2 bag: it has no metadata.yaml; give {FORMATS}; a folder of images also "
+                "needs the sensor's `poses`"
+            )
 
     def read_messages(self, *names: str) -> Iterator[Message]:
         """Yield the messages of the topics with these names, or of all topics if no name is given.
