@@ -31,12 +31,11 @@ from tactile_loc.io.meshes.mesh_files import Units
 from tactile_loc.io.touches import read_touch, touch_from_image
 from tactile_loc.locate.method import Refinement
 from tactile_loc.locate.preparation import TOUCHES, list_examples, list_presses
-from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.located_frame import LocatedFrame
-from tactile_loc.locate.several_touches import answer, compute_posterior_together, localize_together, make_query
+from tactile_loc.locate.several_touches import compute_posterior_together, localize_together
 from tactile_loc.locate.sources.listed_grid import ListedSource, ObjectPoseModel
-from tactile_loc.locate.sources.source import FindPlaces, PoseSource, Scored, SourceSetup
+from tactile_loc.locate.sources.source import FindPlaces, PoseSource, SourceSetup
 from tactile_loc.locate.sources.whole_object import WholeObjectSource
 from tactile_loc.locate.stored_object import load_stored_object
 from tactile_loc.simulate.resting_touches import draw_resting_touches, rest
@@ -332,39 +331,14 @@ class Localizer:
         """Return the first pose of `locate`, with its verdict and covariance, for a control loop."""
         return self.locate(touches, time_s, top=1)
 
-    @use_one_blas_thread()
-    def localize_many(self, touches: Sequence[Touch], top: int | None = None) -> list[Localization]:
-        """Localise touches of this sensor separately, as `localize` does.
-
-        Touches of equal press depth are matched together. Raises TactileLocError if no pose fits one of the touches.
-        """
-        times = StageTimes()
-        alone, asked = self.posteriors(touches, times), [[(self, touch)] for touch in touches]
-        queries = [make_query(one, None, top, times.shared_among(len(touches))) for one in asked]
-        return [answer(*each) for each in zip(queries, asked, map(Scored, ([one] for one in alone)), strict=True)]
-
     def posterior(self, touch: Touch, prior: Prior | None = None, times: StageTimes | None = None) -> PosePosterior:
         """Return the posterior over the grid's poses given a touch and a prior. Adds stage durations to `times`."""
         return compute_posterior_together([(self, touch)], prior, times)
 
     @use_one_blas_thread()
-    def posteriors(
-        self,
-        touches: Sequence[Touch],
-        times: StageTimes | None = None,
-        prior: Prior | None = None,
-        scaling: TemperatureScaling | None = None,
-    ) -> list[PosePosterior]:
-        """Return each touch's own posterior over the grid's poses, before fusion. Adds stage durations to `times`.
-
-        A `prior` only guides the search of a whole object. `scaling` is used instead of the source's. Raises
-        TouchError for a touch of another sensor.
-        """
-        for touch in touches:
-            self.require_own(touch)
-        scaling = scaling or self.source.temperature_scaling
-        scored = self.source.score(touches, times or StageTimes(), prior)
-        return [scaling.posterior(grid, scores) for grid, scores in scored]
+    def posterior_alone(self, touch: Touch) -> PosePosterior:
+        """Return a touch's own posterior over the grid's poses, before fusion."""
+        return self.source.search(self.make_views([touch]), [self.source], StageTimes())[0]
 
     @use_one_blas_thread()
     def refine(self, touch: Touch, posterior: PosePosterior, indices: Sequence[int]) -> list[RefinedPose]:

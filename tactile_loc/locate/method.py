@@ -22,7 +22,7 @@ from tactile_loc.locate.hypotheses import compute_imprint_ious
 from tactile_loc.locate.probability.conformal import LISTED
 from tactile_loc.locate.probability.temperature import SHARED
 from tactile_loc.locate.result.hypothesis import Hypothesis, RefinedBy
-from tactile_loc.locate.sources.source import PoseSource, Scored, rate_poses
+from tactile_loc.locate.sources.source import PoseSource, Posteriors, rate_poses
 from tactile_loc.slots.fuser import Fuser
 from tactile_loc.slots.refiner import Refiner
 
@@ -202,7 +202,7 @@ class LocatingMethod:
         power = self.compute_power
         return temper(query.prior, lambda count: power(len(query.views) + told) / power(count))
 
-    def search(self, query: Query) -> Scored:
+    def search(self, query: Query) -> Posteriors:
         """Return each touch's own posterior, from the source, or over the poses that the query gives."""
         if not query.searches:
             poses, options = np.asarray(query.starts), self.config.search
@@ -210,16 +210,16 @@ class LocatingMethod:
             return rate_poses(query.views, self.sources, poses, ious)
         return self.source.search(query.views, self.sources, query.times, query.prior)
 
-    def fuse(self, scored: Scored, query: Query) -> PosePosterior | NoPoseLeft:
+    def fuse(self, alone: Posteriors, query: Query) -> PosePosterior | NoPoseLeft:
         """Fuse the touches' posteriors, each tempered for the number of touches, and the prior."""
-        count = len(scored.alone) + count_touches(query.prior)
+        count = len(alone) + count_touches(query.prior)
         power = self.compute_power(count)
         T_base_sensor = [touch.T_base_sensor for touch in query.touches]
         with query.times.stage("fuse"):
-            each = [posterior.temper(power) for posterior in scored.alone]
+            each = [posterior.temper(power) for posterior in alone]
             fused = self.fuser.fuse(each, T_base_sensor, self.temper_prior(query))
         if isinstance(fused, NoPoseLeft):
-            outlier = self._find_excluding(scored.alone, T_base_sensor)
+            outlier = self._find_excluding(alone, T_base_sensor)
             return replace(fused.name_touch([touch.name for touch in query.touches]), outlier=outlier)
         return replace(fused, touches=count)
 
@@ -230,7 +230,7 @@ class LocatingMethod:
         """
         return 1.0 if self.config.temperature is not None else float(max(1, touches) ** -SHARED)
 
-    def _find_excluding(self, alone: Sequence[PosePosterior], T_base_sensor: Sequence[Poses | None]) -> int | None:
+    def _find_excluding(self, alone: Posteriors, T_base_sensor: Sequence[Poses | None]) -> int | None:
         """Return the number of the only touch without which the other touches, at least two, share a pose."""
         if len(alone) < 3:
             return None
@@ -239,7 +239,7 @@ class LocatingMethod:
         found = [k for k, one in enumerate(fused) if not isinstance(one, NoPoseLeft)]
         return found[0] if len(found) == 1 else None
 
-    def propose(self, scored: Scored, posterior: PosePosterior, query: Query) -> list[Mode]:
+    def propose(self, alone: Posteriors, posterior: PosePosterior, query: Query) -> list[Mode]:
         """Return the modes of the posterior to refine, and the poses that the query gives.
 
         A query that lists fewer than PROPOSED poses has the same modes, and so the same verdict.
@@ -248,7 +248,7 @@ class LocatingMethod:
         with query.times.stage("modes"):
             if query.searches:
                 top = max(query.top, self.config.top, PROPOSED if query.coverage is None else LISTED)
-                modes = self.source.propose(query.views, scored, posterior, self.temper_prior(query), top)
+                modes = self.source.propose(query.views, alone, posterior, self.temper_prior(query), top)
             if query.starts is None:
                 return modes
             nearest = posterior.grid.nearest(query.starts)[1]

@@ -20,7 +20,6 @@ from tactile_loc.locate.method import LocatingMethod, Query
 from tactile_loc.locate.pipeline import Solution, conclude, localize, weigh_modes
 from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.sources.source import Scored
 
 FAR = 0.45  # a touch contradicts a pose if another pose's imprint IoU with the touch is greater by more than this
 WELL = 0.7  # mean imprint IoU above which touches agree on a pose
@@ -29,16 +28,14 @@ ALONE = 8  # poses that are refined against one touch alone
 Hypotheses = tuple[Hypothesis, ...]
 
 
-def localize_by_likeliest_law(
-    query: Query, method: LocatingMethod, scored: Scored | None = None
-) -> Localization | NoPoseLeft:
+def localize_by_likeliest_law(query: Query, method: LocatingMethod) -> Localization | NoPoseLeft:
     """Locate the touches of a query by each law of the gel by which they were read, and return the likeliest result.
 
     The law is a nuisance parameter. The likeliest result explains the touches with the greatest imprint IoU. Each law
     also refines the best pose of the laws before it.
     """
     first, *others = query.read_otherwise()
-    found = localize_agreeing(first, method, scored)
+    found = localize_agreeing(first, method)
     for other in others:
         if isinstance(found, NoPoseLeft):
             found = localize_agreeing(other, method)
@@ -51,13 +48,12 @@ def localize_by_likeliest_law(
     return found
 
 
-def localize_agreeing(query: Query, method: LocatingMethod, scored: Scored | None = None) -> Localization | NoPoseLeft:
+def localize_agreeing(query: Query, method: LocatingMethod) -> Localization | NoPoseLeft:
     """Locate the touches of a query, and find those that contradict the others.
 
-    `scored` is as for `localize`. If the configuration sets `drop_outliers`, the other touches are located again
-    without them.
+    If the configuration sets `drop_outliers`, the other touches are located again without them.
     """
-    solution, drops = localize(query, method, scored), method.config.drop_outliers
+    solution, drops = localize(query, method), method.config.drop_outliers
     if isinstance(solution, NoPoseLeft):
         if solution.outlier is None:
             return solution
@@ -185,7 +181,7 @@ class Trials:
         """
         source, view = self.method.sources[number], self.query.views[number]
         alone = View(view.touch, view.scene)
-        grid, scores = source.list_starts_alone(alone, self.solution.scored, number, self.query.times)
+        grid, scores = source.list_starts_alone(alone, self.solution.alone[number], self.query.times)
         with self.query.times.stage("refine"):
             poses = grid.T_sensor_object
             poses = poses[

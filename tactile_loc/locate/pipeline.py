@@ -20,7 +20,7 @@ from tactile_loc.locate.probability.evidence import Evidence, Question, gather_e
 from tactile_loc.locate.probability.outcome_model import load_outcome_model, spread_outcome
 from tactile_loc.locate.result.hypothesis import Agreement, Hypothesis
 from tactile_loc.locate.result.localization import Localization
-from tactile_loc.locate.sources.source import Scored
+from tactile_loc.locate.sources.source import Posteriors
 
 UNEXPECTED = 15.0  # nats below the peak of a prior beyond which a pose contradicts the prior; 5.5 standard deviations
 
@@ -32,22 +32,22 @@ class Solution:
     `agreement` states whether several touches agree.
     """
 
-    scored: Scored
+    alone: Posteriors
     posterior: PosePosterior
     modes: Sequence[Mode]
     hypotheses: tuple[Hypothesis, ...]
     agreement: Agreement = field(default_factory=Agreement)
 
 
-def localize(query: Query, method: LocatingMethod, scored: Scored | None = None) -> Solution | NoPoseLeft:
-    """Find poses that explain the touches of a query. `scored` are the touches' posteriors if they are known."""
-    scored = scored or method.search(query)
-    posterior = method.fuse(scored, query)
+def localize(query: Query, method: LocatingMethod) -> Solution | NoPoseLeft:
+    """Find poses that explain the touches of a query."""
+    alone = method.search(query)
+    posterior = method.fuse(alone, query)
     if isinstance(posterior, NoPoseLeft):
         return posterior
-    modes = method.propose(scored, posterior, query)
+    modes = method.propose(alone, posterior, query)
     hypotheses = weigh_modes(query, method, modes)
-    return Solution(scored, posterior, modes, hypotheses)
+    return Solution(alone, posterior, modes, hypotheses)
 
 
 def weigh_modes(

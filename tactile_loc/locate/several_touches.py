@@ -22,7 +22,7 @@ from tactile_loc.locate.method import LocatingMethod, Query, Refinement
 from tactile_loc.locate.outliers import localize_agreeing, localize_by_likeliest_law, require_within_reach
 from tactile_loc.locate.result.localization import Localization
 from tactile_loc.locate.result.verdict import Verdict
-from tactile_loc.locate.sources.source import PoseSource, Scored
+from tactile_loc.locate.sources.source import PoseSource
 from tactile_loc.slots.fuser import Fuser
 
 
@@ -61,8 +61,8 @@ def localize_together(
     each needs `T_base_sensor` (4, 4), metres. Poses are in the first touch's sensor frame, and the posterior is over
     the first localizer's grid. `prior` maps poses (N, 4, 4) of this grid to log-weights (N,). `coverage` is as for
     `Localizer.localize`. The poses `starts` (K, 4, 4), metres, in the first touch's sensor frame, are refined and
-    compared in any case; without `searches`, they are the only ones. Raises TactileLocError if no pose fits all
-    touches.
+    compared in any case; without `searches`, they are the only ones. If the poses that a prior favours do not fit, the
+    touches are also located without it, to see if it is wrong. Raises TactileLocError if no pose fits all touches.
 
     `Localization.outliers` are the touches that contradict the others. If the first localizer's configuration sets
     `drop_outliers`, the other touches are located again without the outliers. The outliers are then in
@@ -70,7 +70,13 @@ def localize_together(
     """
     query = replace(make_query(observations, prior, top), starts=starts, searches=searches)
     require_within_reach(query.touches, observations[0][0].object)
-    return answer(query, observations, None, coverage)
+    query = replace(query, coverage=_choose_coverage(observations, coverage))
+    method = make_method([localizer for localizer, _ in observations])
+    found = require_pose_left(localize_by_likeliest_law(query, method))
+    if query.prior is None or found.verdict in (Verdict.CERTAIN, Verdict.AMBIGUOUS):
+        return found
+    alone = localize_agreeing(replace(query, prior=None, coverage=None), method)
+    return found if isinstance(alone, NoPoseLeft) else found.compare_without_prior(alone)
 
 
 def compute_posterior_together(
@@ -83,22 +89,6 @@ def compute_posterior_together(
     query = make_query(observations, prior, times=times)
     method = make_method([localizer for localizer, _ in observations])
     return require_pose_left(method.fuse(method.search(query), query))
-
-
-def answer(
-    query: Query, observations: Sequence[Observation], scored: Scored | None = None, coverage: float | None = None
-) -> Localization:
-    """Locate the touches of a query by the localizers of its observations. Raises GridError if no pose fits.
-
-    If the poses that a prior favours do not fit, the touches are also located without it, to see if it is wrong.
-    """
-    query = replace(query, coverage=_choose_coverage(observations, coverage))
-    method = make_method([localizer for localizer, _ in observations])
-    found = require_pose_left(localize_by_likeliest_law(query, method, scored))
-    if query.prior is None or found.verdict in (Verdict.CERTAIN, Verdict.AMBIGUOUS):
-        return found
-    alone = localize_agreeing(replace(query, prior=None, coverage=None), method)
-    return found if isinstance(alone, NoPoseLeft) else found.compare_without_prior(alone)
 
 
 def make_query(

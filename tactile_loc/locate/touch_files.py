@@ -43,7 +43,6 @@ COLUMNS = (
     "axis_z",
     "says",
 )
-TOGETHER = 32  # touches read and located at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,30 +124,18 @@ def localize_files(
     The localisation is None if it failed. `press_depth_m`, metres, is used for files that do not state their press
     depth.
     """
-    for first in range(0, len(files), TOGETHER):
-        yield from _localize_batch(localizer, files[first : first + TOGETHER], press_depth_m)
-
-
-def _localize_batch(
-    localizer: Localizer, files: Sequence[Path], press_depth_m: float | None
-) -> Iterator[tuple[LocatedFile, Localization | None]]:
-    touches: dict[Path, Touch] = {}
-    failed: dict[Path, LocatedFile] = {}
     asked = localizer.config.touch
     for path in files:
         try:
-            touches[path] = localizer.read_touch(path, asked.unit, press_depth_m, asked.kind)
+            touch = localizer.read_touch(path, asked.unit, press_depth_m, asked.kind)
         except NoContactError as error:
-            failed[path] = LocatedFile(path, problem=str(error), verdict=Verdict.NO_CONTACT)
+            yield LocatedFile(path, problem=str(error), verdict=Verdict.NO_CONTACT), None
+            continue
         except TactileLocError as error:
-            failed[path] = LocatedFile(path, problem=str(error))
-    found = dict(zip(touches, localizer.localize_many(list(touches.values())), strict=True))
-    for path in files:
-        if path in found:
-            one = found[path]
-            yield LocatedFile(path, one.best, "", one.verdict, None if one.outcome is None else one.outcome.right), one
-        else:
-            yield failed[path], None
+            yield LocatedFile(path, problem=str(error)), None
+            continue
+        one = localizer.localize(touch)
+        yield LocatedFile(path, one.best, "", one.verdict, None if one.outcome is None else one.outcome.right), one
 
 
 def write_table(path: Path, located: Iterable[LocatedFile]) -> Path:

@@ -78,7 +78,7 @@ def test_a_matcher_without_weights_scores_listed_poses(store):
     localizer = Localizer.create("pin", store=store, matcher="listed", **LISTED)
     touch = localizer.simulate(1, seed=2)[0]
     exact = Localizer.create("pin", store=store, matcher="dense", **LISTED)
-    found, wanted = (one.source.score([touch], StageTimes())[0][1] for one in (localizer, exact))
+    found, wanted = (one.source.score(touch, StageTimes())[1] for one in (localizer, exact))
     assert found == pytest.approx(wanted, abs=1e-5)
 
 

@@ -35,7 +35,3 @@ class StageTimes:
         start_s = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start_s
-
-    def shared_among(self, count: int) -> StageTimes:
-        """Return all times divided by `count`: the share of one item when `count` items were processed together."""
-        return StageTimes({name: seconds / count for name, seconds in self.seconds.items()})

@@ -101,7 +101,7 @@ class _FusedExamples:
         refused = np.array([count for _, count in drawn]).reshape(len(numbers), most).sum(axis=1)
         found: dict[int, PosePosterior] = {}
         for i in sorted(range(len(touches)), key=lambda i: touches[i].press_depth_m):  # one bank after the other
-            found[i] = self.localizer.posteriors([touches[i]])[0]
+            found[i] = self.localizer.posterior_alone(touches[i])
         starts = range(0, len(touches), most)
         return [[found[i + k] for k in range(most)] for i in starts], [touches[i : i + most] for i in starts], refused
 

@@ -27,7 +27,7 @@ from tactile_loc.locate.hypotheses import propose_together, split_modes
 from tactile_loc.locate.probability import temperature
 from tactile_loc.locate.probability.temperature import TemperatureScaling
 from tactile_loc.locate.sources.scoring import GridScores, Scores
-from tactile_loc.locate.sources.source import STAGE_VERSIONS, PoseSource, Scored, Values
+from tactile_loc.locate.sources.source import STAGE_VERSIONS, PoseSource, Posteriors, Values
 from tactile_loc.simulate.contact_poses import make_contact_grid, mark_contact
 from tactile_loc.simulate.listed_training import ListedProblem
 from tactile_loc.simulate.touch_simulation import simulate_touches
@@ -329,15 +329,12 @@ class ListedSource(PoseSource):
         """Return the grid's poses, in metres, at the touch's indentation."""
         return self.model.grid.raise_level(self.setup.coarse_scene.geometry.max_depth_m - touch.indentation_m)
 
-    def score(
-        self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
-    ) -> list[tuple[PoseGrid, Scores]]:
-        """Match each touch with all poses of the grid."""
-        scores = self.banks.scores(touches, times)
-        return list(zip(map(self.press_grid, touches), scores, strict=True))
+    def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
+        """Match a touch with all poses of the grid."""
+        return self.press_grid(touch), self.banks.score(touch, times)
 
     def propose(
-        self, views: Sequence[View], scored: Scored, fused: PosePosterior, prior: Prior | None, top: int
+        self, views: Sequence[View], alone: Posteriors, fused: PosePosterior, prior: Prior | None, top: int
     ) -> list[Mode]:
         """Return the modes of the fused posterior; for several touches, the poses that explain all of them best.
 
@@ -345,14 +342,13 @@ class ListedSource(PoseSource):
         """
         options, radius_m = self.setup.config.hypotheses, self.setup.start_radius_m
         if len(views) > 1:
-            return propose_together(views, scored.alone, fused, radius_m, options)
+            return propose_together(views, alone, fused, radius_m, options)
         return split_modes(fused, fused.modes(self.setup.mode_radius_m, top), radius_m, max(top, options.refined))
 
-    def list_starts_alone(self, view: View, scored: Scored, number: int, times: StageTimes) -> tuple[PoseGrid, Values]:
+    def list_starts_alone(self, view: View, own: PosePosterior, times: StageTimes) -> tuple[PoseGrid, Values]:
         """Return the touch's most probable poses, and their log-probabilities."""
-        posterior = scored.alone[number]
-        listed = posterior.top(self.setup.config.hypotheses.listed)
-        return PoseGrid(posterior.grid.T_sensor_object[listed], posterior.grid.metric), posterior.log_p[listed]
+        listed = own.top(self.setup.config.hypotheses.listed)
+        return PoseGrid(own.grid.T_sensor_object[listed], own.grid.metric), own.log_p[listed]
 
     def find_scaling(self) -> TemperatureScaling:
         """Return the scaling that the encoder ships, or one fitted to simulated touches of the object and stored."""
@@ -389,7 +385,7 @@ class ListedSource(PoseSource):
 
     def score_truth(self, touch: Touch) -> tuple[Scores, int]:
         """Return the scores of a simulated touch, and the index of the pose nearest to its true pose."""
-        ((grid, found),) = self.score([touch], StageTimes())
+        grid, found = self.score(touch, StageTimes())
         return found, int(grid.nearest(np.asarray(touch.T_sensor_object)[None])[1][0])
 
     def describe(self) -> dict[str, Any]:

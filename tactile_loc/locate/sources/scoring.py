@@ -1,6 +1,6 @@
 """Scores of a grid's poses: a touch and the poses' contact shapes are encoded, then matched."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -89,23 +89,18 @@ class GridScores:
         )
         self._choosing = Lock()
 
-    def scores(self, touches: Sequence[Touch], times: StageTimes) -> list[Scores]:
-        """Return the similarity (N,) of each touch to each pose of the grid, unitless; higher is more similar.
+    def score(self, touch: Touch, times: StageTimes) -> Scores:
+        """Return the similarity (N,) of a touch to each pose of the grid, unitless; higher is more similar.
 
-        Touches of equal press depth are matched together. Adds the durations of encoding and matching to `times`, but
-        not that of building banks.
+        Adds the durations of encoding and matching to `times`, but not that of building banks.
         """
-        press_m = [self.bank_press_m(t.press_depth_m * t.geometry.gel.compared_share) for t in touches]
-        found: dict[int, Scores] = {}
-        for pressed_m in sorted(set(press_m)):
-            numbers = [number for number, m in enumerate(press_m) if m == pressed_m]
-            matcher = self.matcher(pressed_m)
-            with times.stage("encode"):
-                queries = np.concatenate([self._encode(touches[number], pressed_m) for number in numbers])
-            with times.stage("match"):
-                rows = matcher.scores(queries)
-            found |= dict(zip(numbers, rows, strict=True))
-        return [found[number] for number in range(len(touches))]
+        pressed_m = self.bank_press_m(touch.press_depth_m * touch.geometry.gel.compared_share)
+        matcher = self.matcher(pressed_m)
+        with times.stage("encode"):
+            query = self._encode(touch, pressed_m)
+        with times.stage("match"):
+            scores: Scores = matcher.scores(query)[0]
+        return scores
 
     def matcher(self, press_depth_m: float) -> Matcher:
         """Return the matcher whose bank is cut at this press depth (metres), built at first use."""

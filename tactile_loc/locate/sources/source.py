@@ -36,6 +36,7 @@ from tactile_loc.store.store import StageStore
 STAGE_VERSIONS = {"grid": 5, "shapes": 3, "encoder": 3, "bank": 3}
 Values = NDArray[np.float64]
 Rated = tuple[Poses, Values]  # poses (K, 4, 4), metres, and values (K,), the greater the better
+Posteriors = Sequence[PosePosterior]  # each touch's own posterior, over poses in the frame of its own sensor
 FindPlaces = Callable[[], Places]
 
 
@@ -92,13 +93,6 @@ class SourceSetup:
         return self.config.hypotheses.start_radius * self.mode_radius_m
 
 
-@dataclass(frozen=True, eq=False)
-class Scored:
-    """Each touch's own posterior, over poses in the frame of its own sensor."""
-
-    alone: Sequence[PosePosterior]
-
-
 class PoseSource(ABC):
     """Scores poses for touches of one object by one sensor.
 
@@ -124,10 +118,8 @@ class PoseSource(ABC):
         """The digest of the encoder's weights, trained now or stored; empty if the encoder needs no training."""
 
     @abstractmethod
-    def score(
-        self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
-    ) -> list[tuple[PoseGrid, Scores]]:
-        """Return, for each touch, the poses compared with it (metres) and their scores (N,), unitless.
+    def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
+        """Return the poses compared with a touch (metres) and their scores (N,), unitless.
 
         A search also scores poses that the `prior` favours; a listed grid ignores the prior. Adds stage durations to
         `times`.
@@ -135,7 +127,7 @@ class PoseSource(ABC):
 
     def search(
         self, views: Sequence[View], sources: Sequence[PoseSource], times: StageTimes, prior: Prior | None = None
-    ) -> Scored:
+    ) -> Posteriors:
         """Return the posteriors of one touch, or of several touches of one object.
 
         `sources` are those of each touch's sensor, this source first. The `prior` is over poses in the
@@ -147,9 +139,9 @@ class PoseSource(ABC):
         alone = []
         for view, source in zip(views, sources, strict=True):
             scaling = source.temperature_scaling  # perhaps fitted first, with its own progress
-            ((grid, scores),) = source.score([view.touch], times, prior)
+            grid, scores = source.score(view.touch, times, prior)
             alone.append(scaling.posterior(grid, scores))
-        return Scored(alone)
+        return alone
 
     @cached_property
     def temperature_scaling(self) -> TemperatureScaling:
@@ -163,7 +155,7 @@ class PoseSource(ABC):
 
     @abstractmethod
     def propose(
-        self, views: Sequence[View], scored: Scored, fused: PosePosterior, prior: Prior | None, top: int
+        self, views: Sequence[View], alone: Posteriors, fused: PosePosterior, prior: Prior | None, top: int
     ) -> list[Mode]:
         """Return the modes of the `fused` posterior to refine, at least `top` if there are that many.
 
@@ -171,10 +163,10 @@ class PoseSource(ABC):
         """
 
     @abstractmethod
-    def list_starts_alone(self, view: View, scored: Scored, number: int, times: StageTimes) -> tuple[PoseGrid, Values]:
+    def list_starts_alone(self, view: View, own: PosePosterior, times: StageTimes) -> tuple[PoseGrid, Values]:
         """Return poses to refine against one touch alone, and their values (K,); greater ones are better.
 
-        `view` is the touch's own view, and `number` its number in `scored`.
+        `view` is the touch's own view, and `own` its own posterior.
         """
 
     def keep_promising(
@@ -243,7 +235,7 @@ def require_one_kind(sources: Sequence[PoseSource]) -> None:
         )
 
 
-def rate_poses(views: Sequence[View], sources: Sequence[PoseSource], T_first_object: Poses, ious: Values) -> Scored:
+def rate_poses(views: Sequence[View], sources: Sequence[PoseSource], T_first_object: Poses, ious: Values) -> Posteriors:
     """Return each touch's posterior over poses (K, 4, 4), metres, in its own sensor frame, with its source's scaling.
 
     The poses are in the first touch's sensor frame. `ious` (K, N), 0 to 1, are their imprint IoUs with the touches.
@@ -252,4 +244,4 @@ def rate_poses(views: Sequence[View], sources: Sequence[PoseSource], T_first_obj
     for view, source, own in zip(views, sources, ious.T, strict=True):
         grid = PoseGrid(view.T_sensor_first @ T_first_object, source.setup.metric)
         alone.append(source.temperature_scaling.posterior(grid, own))
-    return Scored(alone)
+    return alone

@@ -30,7 +30,7 @@ from tactile_loc.locate.hypotheses import DOUBT, choose_best_apart, compute_impr
 from tactile_loc.locate.probability.temperature import SEARCHED, TemperatureScaling
 from tactile_loc.locate.sources.place_search import MOST_UNEXPLAINED, PlaceSearch
 from tactile_loc.locate.sources.scoring import Scores
-from tactile_loc.locate.sources.source import PoseSource, Scored, Values, rate_poses, require_one_kind
+from tactile_loc.locate.sources.source import PoseSource, Posteriors, Values, rate_poses, require_one_kind
 from tactile_loc.locate.sources.stored_places import PlaceBanks, load_places
 
 ROUGH_CELL_M = 1e-3  # side of a cell of the surface's field in a rough search
@@ -71,15 +71,13 @@ class WholeObjectSource(PoseSource):
         """The digest of the encoder's weights, trained now or stored; empty if the encoder needs no training."""
         return self.banks.trained
 
-    def score(
-        self, touches: Sequence[Touch], times: StageTimes, prior: Prior | None = None
-    ) -> list[tuple[PoseGrid, Scores]]:
-        """Search the whole object for each touch; return the likeliest poses and their imprint IoUs."""
-        return [self.place_search.score(touch, times, prior) for touch in touches]
+    def score(self, touch: Touch, times: StageTimes, prior: Prior | None = None) -> tuple[PoseGrid, Scores]:
+        """Search the whole object for a touch; return the likeliest poses and their imprint IoUs."""
+        return self.place_search.score(touch, times, prior)
 
     def search(
         self, views: Sequence[View], sources: Sequence[PoseSource], times: StageTimes, prior: Prior | None = None
-    ) -> Scored:
+    ) -> Posteriors:
         """Search with one touch, or with all touches together: see `PoseSource`."""
         if len(views) == 1:
             return super().search(views, sources, times, prior)
@@ -90,7 +88,7 @@ class WholeObjectSource(PoseSource):
         return rate_poses(views, sources, found.T_first_object, found.ious)
 
     def propose(
-        self, views: Sequence[View], scored: Scored, fused: PosePosterior, prior: Prior | None, top: int
+        self, views: Sequence[View], alone: Posteriors, fused: PosePosterior, prior: Prior | None, top: int
     ) -> list[Mode]:
         """Return the most probable poses that are far enough apart, and those that the prior favours.
 
@@ -103,7 +101,7 @@ class WholeObjectSource(PoseSource):
         modes = choose_best_apart(fused, radius_m, count)
         return add_expected_modes(modes, fused, prior, radius_m)
 
-    def list_starts_alone(self, view: View, scored: Scored, number: int, times: StageTimes) -> tuple[PoseGrid, Values]:
+    def list_starts_alone(self, view: View, own: PosePosterior, times: StageTimes) -> tuple[PoseGrid, Values]:
         """Return poses that explain one touch well, and their imprint IoUs (K,) in coarse renders."""
         with times.stage("register"):
             return self.place_search.find_starts_alone(view)

@@ -82,11 +82,11 @@ def test_errors_are_those_of_the_single_touch_and_of_the_fused_posterior(evaluat
 
     for example in range(COUNT):
         touch = SOURCE.draw_touch(pipe, MOST_FUSED * example)
-        error_m = measure_error_m(pipe.posteriors([touch])[0], touch)
+        error_m = measure_error_m(pipe.posterior_alone(touch), touch)
         assert errors_m(evaluation, "best-1", 1)[example] == pytest.approx(error_m, rel=0.03)
     assert count_alone(evaluation, "best-1", 1) == 0
     touches = [SOURCE.draw_touch(pipe, MOST_FUSED * 2 + k) for k in range(4)]
-    fused = pipe.fuser.fuse([pipe.posteriors([t])[0] for t in touches], [invert(t.T_sensor_object) for t in touches])
+    fused = pipe.fuser.fuse(list(map(pipe.posterior_alone, touches)), [invert(t.T_sensor_object) for t in touches])
     assert errors_m(evaluation, "best-1", 4)[2] == pytest.approx(measure_error_m(fused, touches[0]), rel=0.03)
 
 
@@ -108,11 +108,11 @@ def test_more_contacts_reduce_the_error_and_kinematic_errors_stay_large(pipe):
 def test_later_touches_compensate_an_uninformative_first_touch(monkeypatch, store):
     localizer = fresh(store, temperature=0.2)
 
-    def first_knows_nothing(self, touches):
+    def first_knows_nothing(self, touch):
         nothing = PosePosterior(self.model.grid, np.zeros(len(self.model.grid)))
-        return [certain(self, t) if int(t.name[-4:]) % MOST_FUSED else nothing for t in touches]
+        return certain(self, touch) if int(touch.name[-4:]) % MOST_FUSED else nothing
 
-    monkeypatch.setattr(Localizer, "posteriors", first_knows_nothing)
+    monkeypatch.setattr(Localizer, "posterior_alone", first_knows_nothing)
     found = evaluate_fusion(localizer, (1, 4), 6, SOURCE)
     assert np.median(shares(found, "best-1", 4)) < 0.25 < np.median(shares(found, "best-1", 1))
 

@@ -103,12 +103,12 @@ def test_several_touches_are_fused_with_the_power_of_shared_errors(tmp_path):
         dataclasses.replace(t, T_base_sensor=np.linalg.inv(t.T_sensor_object)) for t in localizer.simulate(3, seed=2)
     ]
     observations = [(localizer, touch) for touch in touches]
-    product = localizer.fuser.fuse(localizer.posteriors(touches), [t.T_base_sensor for t in touches])
+    product = localizer.fuser.fuse(list(map(localizer.posterior_alone, touches)), [t.T_base_sensor for t in touches])
     fused = compute_posterior_together(observations)
     np.testing.assert_allclose(fused.probabilities, product.temper(3**-SHARED).probabilities, atol=1e-6)
     assert fused.touches == 3
     plain = Localizer.create("pin", store=localizer.store, temperature=0.01, **COARSE)
-    product = plain.fuser.fuse(plain.posteriors(touches), [t.T_base_sensor for t in touches])
+    product = plain.fuser.fuse(list(map(plain.posterior_alone, touches)), [t.T_base_sensor for t in touches])
     fused = compute_posterior_together([(plain, touch) for touch in touches])
     np.testing.assert_allclose(fused.probabilities, product.probabilities, atol=1e-6)
 

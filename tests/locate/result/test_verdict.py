@@ -162,7 +162,8 @@ def test_the_error_quantile_is_the_least_tolerance_with_a_probability_of_95_perc
 
 
 def test_the_probabilities_of_all_poses_sum_to_one_minus_elsewhere_in_the_order_of_the_poses(localization, localizer):
-    for found in (localization, *localizer.localize_many(localizer.simulate(3, seed=8, noise="strong"), top=40)):
+    others = (localizer.localize(touch, top=40) for touch in localizer.simulate(3, seed=8, noise="strong"))
+    for found in (localization, *others):
         p = np.array([h.probability for h in (*found.hypotheses, *found.unlisted)])
         assert p.sum() + found.outcome.missed == pytest.approx(1)
         assert (np.diff(p) <= 1e-12).all()

@@ -96,7 +96,7 @@ def test_places_are_built_once(tmp_path, monkeypatch):
 
 
 def together(localizer: Localizer, some: list[Touch]) -> Sequence[PosePosterior]:
-    return localizer.source.search(localizer.make_views(some), [localizer.source] * len(some), StageTimes()).alone
+    return localizer.source.search(localizer.make_views(some), [localizer.source] * len(some), StageTimes())
 
 
 def test_several_touches_are_compared_at_the_same_poses(localizer, examples):
