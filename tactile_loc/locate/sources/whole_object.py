@@ -7,7 +7,6 @@ are registered to all touches.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -84,8 +83,7 @@ class WholeObjectSource(PoseSource):
         require_one_kind(sources)
         self.load_field()
         searches = [source.place_search for source in sources if isinstance(source, WholeObjectSource)]
-        found = search_together(views, searches, times, prior)
-        return rate_poses(views, sources, found.T_first_object, found.ious)
+        return rate_poses(views, sources, *search_together(views, searches, times, prior))
 
     def propose(
         self, views: Sequence[View], alone: Posteriors, fused: PosePosterior, prior: Prior | None, top: int
@@ -165,22 +163,12 @@ class WholeObjectSource(PoseSource):
         return float(evidence[best].sum()), float(ious[best].mean())
 
 
-@dataclass(frozen=True, eq=False)
-class FoundTogether:
-    """The likeliest poses given N touches.
-
-    `T_first_object` (K, 4, 4), metres, is in the first touch's sensor frame. `ious` (K, N), 0 to 1, are the poses'
-    imprint IoUs with the touches.
-    """
-
-    T_first_object: Poses
-    ious: NDArray[np.float64]
-
-
 def search_together(
     views: Sequence[View], searches: Sequence[PlaceSearch], times: StageTimes, prior: Prior | None = None
-) -> FoundTogether:
-    """Return the likeliest poses given several touches. Adds stage durations to `times`.
+) -> tuple[Poses, NDArray[np.float64]]:
+    """Return the likeliest poses (K, 4, 4), metres, given N touches, and their imprint IoUs (K, N) with each touch.
+
+    The poses are in the first touch's sensor frame. Stage durations are added to `times`.
 
     The rotated places most similar to each touch are collected. The poses whose surface is nearest to all touches are
     moved by a few steps of registration. A wrong pose may be as near as a pose beside the true one, but stays as far
@@ -211,7 +199,7 @@ def search_together(
         kept = suppress_non_maxima(
             registered, ious.mean(axis=1), search.metric, options.apart_mm * 1e-3, options.registered_widely
         )
-    return FoundTogether(registered[kept], ious[kept])
+    return registered[kept], ious[kept]
 
 
 def _register_in_batches(views: Sequence[View], search: PlaceSearch, poses: Poses) -> tuple[Poses, NDArray[np.float64]]:

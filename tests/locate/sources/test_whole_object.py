@@ -135,8 +135,8 @@ def test_batches_find_what_registering_all_poses_at_once_finds(localizer, exampl
         batches, everything = (
             search_together(views, [one] * 3, StageTimes()) for one in (localizer.source.place_search, full)
         )
-        assert len(batches.T_first_object) < len(everything.T_first_object)
-        assert batches.ious.mean(axis=1).max() > everything.ious.mean(axis=1).max() - 0.03
+        assert len(batches[0]) < len(everything[0])
+        assert batches[1].mean(axis=1).max() > everything[1].mean(axis=1).max() - 0.03
 
 
 def test_no_further_batch_follows_one_without_a_better_pose(localizer, examples, monkeypatch):
@@ -174,7 +174,7 @@ def test_trials_that_end_early_change_no_result(localizer, examples, monkeypatch
 
 def search_pair(localizer: Localizer, search: PlaceSearch, pair: list[Touch]) -> np.ndarray:
     views = localizer.make_views(pair)
-    return search_together(views, [search] * 2, StageTimes()).T_first_object
+    return search_together(views, [search] * 2, StageTimes())[0]
 
 
 def test_a_pose_far_from_many_nearer_ones_is_registered_to_several_touches(localizer, search, examples):
@@ -333,8 +333,8 @@ def test_a_prior_of_several_touches_applies_in_the_frame_of_the_first_sensor(loc
         assert (np.diff(likely) <= 1e-9).all()  # the most probable pose comes first
         others = prior(invert(view.T_sensor_first) @ search.propose(view.touch, 200)[0][0])
         assert np.median(likely) > np.median(others)
-    found = search_together(views, [search] * 3, StageTimes(), prior)
-    assert measure_errors_mm(localizer, found.T_first_object, touches[0]).min() < 1.0
+    found, _ = search_together(views, [search] * 3, StageTimes(), prior)
+    assert measure_errors_mm(localizer, found, touches[0]).min() < 1.0
 
 
 def test_an_all_excluding_prior_is_ignored_and_an_invalid_prior_is_refused(search, examples):
