@@ -1,7 +1,7 @@
 """A finished stage on disk: a folder of plain files, with a manifest of their checksums."""
 
 import json
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +19,8 @@ from tactile_loc.store.keys import StageKey, hash_file, hash_json
 MANIFEST = "manifest.json"
 _FORMAT = 1
 _MEMBER = "array"  # name of the array in a packed file, which is an ordinary npz
+
+Signature = tuple[tuple[int, int], ...]  # (mtime_ns, size) of the manifest and of every file
 
 
 class DamagedError(StoreError):
@@ -80,8 +82,8 @@ class Artifact:
         except (OSError, ValueError, EOFError) as error:
             raise StoreError(f"{path} cannot be read ({error}); remove {self.path} and run again") from error
 
-    def read_signature(self) -> tuple[tuple[int, int], ...]:
-        """Return (mtime_ns, size) of the manifest and of every file. Any ordinary write changes these numbers.
+    def read_signature(self) -> Signature:
+        """Return the times and sizes of the files. Any ordinary write changes these numbers.
 
         Raises DamagedError when a file is missing or its size differs from the recorded size.
         """
@@ -94,11 +96,9 @@ class Artifact:
                 raise DamagedError(f"{name} has {stat.st_size} bytes instead of {self.files[name].size}")
         return tuple((stat.st_mtime_ns, stat.st_size) for stat in stats)
 
-    def verify(self, names: Collection[str] | None = None) -> None:
-        """Compare the checksums of these files, or of all, with the manifest. Raises DamagedError if one differs."""
+    def verify(self) -> None:
+        """Compare the checksums of all files with the manifest. Raises DamagedError if one differs."""
         for name, record in self.files.items():
-            if names is not None and name not in names:
-                continue
             try:
                 found = hash_file(self.path / name)
             except StoreError as error:

@@ -10,17 +10,17 @@ import logging
 import os
 import re
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from tactile_loc.core.runtime.caches import find_user_cache
 from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.core.runtime.formatting import format_bytes
-from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, read_artifact
+from tactile_loc.store.artifact import MANIFEST, Artifact, DamagedError, Signature, read_artifact
 from tactile_loc.store.files import delete, sync_folder
 from tactile_loc.store.keys import StageKey
 from tactile_loc.store.workspace import Workspace, guard_store
@@ -48,13 +48,6 @@ class Entry:
     path: Path
 
 
-class _Verified(NamedTuple):
-    """The files of an artifact whose checksums were right, and the artifact's signature at that time."""
-
-    signature: tuple[tuple[int, int], ...]
-    names: frozenset[str]
-
-
 class StageStore:
     """Results of stages on disk. A result is found by its `StageKey`, and built again only if an input changes.
 
@@ -64,37 +57,34 @@ class StageStore:
     def __init__(self, root: Path | str | None = None) -> None:
         self.root = find_root() if root is None else Path(root).expanduser().absolute()
         self.built: list[StageKey] = []
-        self._verified: dict[str, _Verified] = {}
+        self._verified: dict[str, Signature] = {}  # of artifacts whose checksums were right, by the keys' digests
 
-    def get(self, key: StageKey, files: Collection[str] | None = None) -> Artifact | None:
+    def get(self, key: StageKey) -> Artifact | None:
         """Return the artifact of this key, or None if there is none.
 
         An incomplete or altered artifact is removed, with a warning. Checksums are verified once per instance, and
-        again when a file's time or size has changed. With `files`, only the checksums of these files (with suffixes)
-        are verified, so read no others. Raises StoreError if a damaged artifact cannot be removed.
+        again when a file's time or size has changed. Raises StoreError if a damaged artifact cannot be removed.
         """
         try:
-            return self._open(key, files)
+            return self._open(key)
         except DamagedError:
             lock = self._try_lock(self._find_folder(key))
         if lock is None:
             return None  # another process is rebuilding it
         with lock:
-            return self._open_or_remove(key, files)
+            return self._open_or_remove(key)
 
-    def build(
-        self, key: StageKey, make: Callable[[Workspace], object], files: Collection[str] | None = None
-    ) -> Artifact:
+    def build(self, key: StageKey, make: Callable[[Workspace], object]) -> Artifact:
         """Return the artifact of this key. If there is none, call `make` to build it in a workspace.
 
-        `files` is as for `get`. If another process is building the artifact, wait for that process. After an
-        interruption or an exception, the pieces that `make` saved stay in the workspace for the next build. Raises
-        StoreError if the artifact cannot be stored, for instance on a full disk. Errors of `make` are raised unchanged.
+        If another process is building the artifact, wait for that process. After an interruption or an exception, the
+        pieces that `make` saved stay in the workspace for the next build. Raises StoreError if the artifact cannot be
+        stored, for instance on a full disk. Errors of `make` are raised unchanged.
         """
-        artifact = self.get(key, files)
+        artifact = self.get(key)
         if artifact is None:
             with self._lock(key):
-                artifact = self._open_or_remove(key, files) or self._make(key, make)
+                artifact = self._open_or_remove(key) or self._make(key, make)
         else:
             logger.debug("stage %s is in the store already", key)
         return artifact
@@ -129,11 +119,8 @@ class StageStore:
     def _find_folder(self, key: StageKey) -> Path:
         return self.root / key.stage / key.short
 
-    def _open(self, key: StageKey, files: Collection[str] | None) -> Artifact | None:
-        """Return the artifact with these files (None: all) verified, or None if there is none.
-
-        Raises DamagedError if the artifact is damaged.
-        """
+    def _open(self, key: StageKey) -> Artifact | None:
+        """Return the verified artifact, or None if there is none. Raises DamagedError if the artifact is damaged."""
         folder = self._find_folder(key)
         if not os.path.lexists(folder):
             return None
@@ -141,20 +128,17 @@ class StageStore:
         if artifact.key != key:
             raise DamagedError("it was made from other inputs")
         signature = artifact.read_signature()
-        known = self._verified.get(key.digest)
-        verified = known.names if known is not None and known.signature == signature else frozenset()
-        needed = frozenset(artifact.names if files is None else files) - verified
-        if needed:
-            artifact.verify(needed)
+        if self._verified.get(key.digest) != signature:
+            artifact.verify()
             # A second write within one tick of the clock would leave the time unchanged, so only older times count.
             if time.time_ns() - max(mtime_ns for mtime_ns, _ in signature) > _SETTLED_NS:
-                self._verified[key.digest] = _Verified(signature, verified | needed)
+                self._verified[key.digest] = signature
         return artifact
 
-    def _open_or_remove(self, key: StageKey, files: Collection[str] | None) -> Artifact | None:
+    def _open_or_remove(self, key: StageKey) -> Artifact | None:
         """Do the same as `_open`, but remove a damaged artifact. The caller holds the lock."""
         try:
-            return self._open(key, files)
+            return self._open(key)
         except DamagedError as damage:
             logger.warning("the stage %s in %s is damaged and is removed: %s", key, self._find_folder(key), damage)
         _remove(self._find_folder(key))

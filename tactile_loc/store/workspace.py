@@ -84,7 +84,7 @@ class Workspace:
         else:
             self.save_file(f"{name}.npy", lambda path: np.save(path, array, allow_pickle=False), keep)
 
-    def save_json(self, name: str, value: Any, keep: bool = True) -> None:
+    def save_json(self, name: str, value: Any) -> None:
         """Save a value as `<name>.json`, with sorted keys.
 
         Raises StoreError when the value is not a finite JSON value, the name cannot be used, or writing fails.
@@ -93,7 +93,7 @@ class Workspace:
             text = json.dumps(value, sort_keys=True, indent=1, allow_nan=False) + "\n"
         except (TypeError, ValueError) as error:
             raise StoreError(f"{name!r} of stage {self._key} is not a finite JSON value ({error})") from error
-        self.save_file(f"{name}.json", lambda path: path.write_text(text), keep)
+        self.save_file(f"{name}.json", lambda path: path.write_text(text))
 
     def save_file(self, file_name: str, write: Callable[[Path], object], keep: bool = True) -> None:
         """Save a file of any format. `write` gets a temporary path of the same suffix, and writes the file there.

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from message_helpers import naming
-from store_helpers import KEY, Five, contents, flip, folder_of, forbidden
+from store_helpers import KEY, Five, contents, flip, folder_of
 
 from tactile_loc.core.runtime.errors import StoreError
 from tactile_loc.store import artifact as artifact_module
@@ -92,24 +92,6 @@ def test_checksums_are_read_once_while_the_files_are_unchanged(store, monkeypatc
     os.utime(built.find_file("sum.npy"), (1e9, 1e9 + 1))
     assert store.get(KEY) == built
     assert len(hashed) == 2 * len(built.names)
-
-
-def test_only_the_files_that_are_read_are_verified(store, monkeypatch):
-    built, hashed = build_old(store, monkeypatch)
-    for files in (["sum.npy"], ["sum.npy"], ["piece0.npy", "sum.npy"]):
-        assert store.get(KEY, files) == built
-    assert hashed == ["sum.npy", "piece0.npy"]
-    assert store.build(KEY, forbidden) == built
-    assert sorted(hashed) == list(built.names)
-
-
-def test_damage_is_found_when_the_file_is_needed(store):
-    truth = contents(store.build(KEY, Five()).path)
-    flip("sum.npy", -1)(folder_of(store))
-    assert store.get(KEY, ["piece0.npy"]) is not None
-    five = Five()
-    assert contents(store.build(KEY, five, ["sum.npy"]).path) == truth
-    assert five.computed == [0, 1, 2, 3, 4]
 
 
 def test_pickled_arrays_are_refused(store):

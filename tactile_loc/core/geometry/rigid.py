@@ -258,10 +258,10 @@ def require_covariance(values: ArrayLike, what: str, error: type[TactileLocError
     return found
 
 
-def _is_covariance(values: Floats, tolerance: float = 1e-6) -> bool:
+def _is_covariance(values: Floats) -> bool:
     if not np.isfinite(values).all():
         return False
-    allowed = tolerance * max(1e-12, float(np.abs(values).max()))
+    allowed = 1e-6 * max(1e-12, float(np.abs(values).max()))
     return bool(np.abs(values - values.T).max() <= allowed and np.linalg.eigvalsh(values).min() >= -allowed)
 
 

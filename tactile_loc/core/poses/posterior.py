@@ -145,18 +145,14 @@ class PosePosterior:
         p = self.probabilities / self.probabilities.sum() if self.elsewhere else self.probabilities
         return self.grid.T_sensor_object[rng.choice(len(self.log_p), size=count, p=p)]
 
-    def modes(
-        self, radius_m: float, count: int | None = 10, mass: float = 0.99, core: Ints | None = None
-    ) -> list[Mode]:
+    def modes(self, radius_m: float, count: int | None = 10, mass: float = 0.99) -> list[Mode]:
         """Return the `count` most probable modes, or all modes if it is None, the most probable first.
 
         A mode is a peak and all poses from which uphill steps lead to this peak. Each step goes to the most probable
         pose within `radius_m` metres, up to symmetry. This is quick shift (Vedaldi and Soatto, ECCV 2008). Only the
-        poses with the indices `core` (K,), the most probable first, are clustered. By default, these are the credible
-        set of level `mass`, but at most MOST_CLUSTERED poses.
+        credible set of level `mass` is clustered, and at most MOST_CLUSTERED poses.
         """
-        p = self.probabilities
-        core = self.credible_set(mass, MOST_CLUSTERED) if core is None else core
+        p, core = self.probabilities, self.credible_set(mass, MOST_CLUSTERED)
         peaks = _climb(self.grid, core, radius_m)
         tops, of = np.unique(peaks, return_inverse=True)
         masses = np.bincount(of, p[core])

@@ -94,18 +94,15 @@ class Tolerance:
             f"{limits} at the tip" if self.tip_m is not None else f"{limits} of the shape" if self.of_shape else limits
         )
 
-    def find_within(self, obj: ObjectModel, T: Poses, T_other: Poses, times: float = 1.0) -> Bools:
-        """Return whether the pose T (4, 4), metres, is within the tolerance of each pose T_other (N, 4, 4), as (N,).
-
-        Limits count this many `times`.
-        """
+    def find_within(self, obj: ObjectModel, T: Poses, T_other: Poses) -> Bools:
+        """Return whether the pose T (4, 4), metres, is within the tolerance of each pose T_other (N, 4, 4), as (N,)."""
         within = np.ones(len(T_other), bool)
         if self.rotation_rad is not None:
             turned_rad = obj.symmetry.measure_least_angle(T[:3, :3], T_other[:, :3, :3])
-            within &= turned_rad <= times * self.rotation_rad
+            within &= turned_rad <= self.rotation_rad
         if self.distance_m is not None:
-            near, limit_m = np.flatnonzero(within), times * self.distance_m
-            within[near] = self.measure_distances(obj, T, T_other[near], limit_m) <= limit_m
+            near = np.flatnonzero(within)
+            within[near] = self.measure_distances(obj, T, T_other[near], self.distance_m) <= self.distance_m
         return within
 
     def measure_distances(self, obj: ObjectModel, T: Poses, T_other: Poses, limit_m: float = 0.0) -> Floats:

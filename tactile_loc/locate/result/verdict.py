@@ -79,18 +79,13 @@ def describe_within(verdict: Verdict | None, probability: float | None, toleranc
     return f"within {tolerance.describe()} with {format_percent(probability)} probability"
 
 
-def judge(
-    outcome: Outcome | None, *, touched: bool = True, sure: bool = True, poor: bool = False, least: float = CERTAIN
-) -> Verdict:
-    """Return the verdict on the first pose.
+def judge(outcome: Outcome | None, *, sure: bool = True, poor: bool = False, least: float = CERTAIN) -> Verdict:
+    """Return the verdict on the first pose, given a touch.
 
-    The `outcome` has the probability that the first pose is right; None if there is no pose. `touched` states
-    whether there is a touch. The pose is a `poor` fit if it explains a touch worse than right poses do. Otherwise,
-    it is certain if its probability is at least `least`, unless something makes it un`sure`, such as a touch
-    without depths.
+    The `outcome` has the probability that the first pose is right; None if there is no pose. The pose is a `poor` fit
+    if it explains a touch worse than right poses do. Otherwise, it is certain if its probability is at least `least`,
+    unless something makes it un`sure`, such as a touch without depths.
     """
-    if not touched:
-        return Verdict.NO_CONTACT
     if outcome is None:
         return Verdict.NOT_FOUND
     if poor:

@@ -116,11 +116,6 @@ def test_tempering_includes_the_training_distribution(grid):
     assert posterior.temper(1.0) is posterior
 
 
-def test_modes_can_be_restricted_to_given_poses(box):
-    posterior = PosePosterior(line(box, np.arange(4) * 0.1), np.log([0.4, 0.3, 0.2, 0.1]))
-    assert [m.index for m in posterior.modes(1e-3, None, core=np.array([1, 3]))] == [1, 3]
-
-
 def test_modes_are_clusters_of_poses(box):
     x_m = np.array([0.0, 1, 2, 50, 51, 90]) * 1e-3
     weights = np.array([0.1, 0.3, 0.1, 0.15, 0.25, 0.1])

@@ -44,7 +44,6 @@ RIGHT, OPEN, MISSED = Outcome(0.97, 0.02, 0.01), Outcome(0.6, 0.3, 0.1), Outcome
 )
 def test_the_first_matching_rule_gives_the_verdict(outcome, doubts, expected):
     assert judge(outcome, **doubts) is expected
-    assert judge(outcome, **doubts, touched=False) is Verdict.NO_CONTACT
 
 
 def test_every_verdict_has_a_meaning():
