@@ -143,6 +143,8 @@ class Inspection:
             notes.append(f"the differences move an ordinary pose by up to {1e3 * self.moved_m:.2f} mm")
         if self.limits is NOISY and self.verdict == "as the model":
             notes.append("the reading has noise, so a difference of the stated height is found less often than in 95 %")
+        if self.limits is EXACT and self.verdict == "as the model" and self.comparisons[0].geometry.gel.is_elastic:
+            notes.append("the gel is elastic, so a dent of the stated height is found less often than in 95 %")
         if self.refined_m > FAR_M:
             notes.append(
                 f"the touches fit best at a pose {1e3 * self.refined_m:.1f} mm from the given one; check the pose"

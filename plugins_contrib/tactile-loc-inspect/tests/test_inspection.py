@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inspect_helpers import TOP_M, make_burr, make_plate, misplace, press
+from tactile_loc.plugin import Gel
 from tactile_loc.plugin.helpers import make_translation
 
 from tactile_loc_inspect.comparison import compare_touches, fit_plain_pose
@@ -53,6 +54,13 @@ def test_a_burr_as_high_as_stated_is_found(clean_views):
 def test_the_verdict_of_a_noisy_reading_has_a_note(clean_views):
     found = inspect_part(clean_views, misplace(clean_views))
     assert len(replace(found, limits=NOISY).list_notes()) == len(found.list_notes()) + 1
+
+
+def test_the_verdict_of_an_elastic_gel_has_a_note(clean_views):
+    found = inspect_part(clean_views, misplace(clean_views))
+    first = found.comparisons[0]
+    elastic = replace(first, geometry=replace(first.geometry, gel=Gel(4e-3)))
+    assert len(replace(found, comparisons=(elastic,)).list_notes()) == len(found.list_notes()) + 1
 
 
 @pytest.mark.parametrize("height_mm", [0.15, 0.3])
