@@ -50,8 +50,11 @@ def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[...
 
     @functools.wraps(function)
     def command(context_: typer.Context, as_json: bool, verbose: int, quiet: bool, **options: Any) -> None:
-        flags = [flag for p in context_.command.params for flag in p.opts]
-        with name_flags(flags), show_log((context_.obj or 0) + verbose - quiet), report_failures(name, as_json):
+        with (
+            name_flags(_list_flags(context_.command.params)),
+            show_log((context_.obj or 0) + verbose - quiet),
+            report_failures(name, as_json),
+        ):
             start = time.perf_counter()
             for parameter, (kind, takes) in taken.items():
                 options[parameter] = kind(**{key: options.pop(key) for key in takes.choose(kind)})
@@ -64,6 +67,12 @@ def make_command(function: Callable[..., dict[str, Any] | None]) -> Callable[...
 
     command.__signature__ = inspect.Signature(list(_list_parameters(own, taken)))  # type: ignore[attr-defined]
     return command
+
+
+def _list_flags(parameters: Sequence[Any]) -> dict[str, str]:
+    """Return the flags of a command by the settings that they give, and the arguments as its help names them."""
+    flags = {flag.removeprefix("--").replace("-", "_"): flag for p in parameters for flag in p.opts if flag[:2] == "--"}
+    return {p.name: p.metavar for p in parameters if p.param_type_name == "argument" and p.metavar} | flags
 
 
 # Each command has these settings itself, because its parser is also used without that of the whole command line.

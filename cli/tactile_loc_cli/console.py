@@ -109,10 +109,9 @@ def _fold_line(line: str, indent: int) -> list[str]:
 
 
 @contextmanager
-def name_flags(flags: Iterable[str]) -> Iterator[None]:
-    """Let `write_flags` know the flags of the running command, such as --touch-unit."""
-    names = {flag.removeprefix("--").replace("-", "_"): flag for flag in flags if flag.startswith("--")}
-    before = _FLAGS.set(names)
+def name_flags(flags: Mapping[str, str]) -> Iterator[None]:
+    """Let `write_flags` know the flags and arguments of the running command by their settings, such as touch_unit."""
+    before = _FLAGS.set(flags)
     try:
         yield
     finally:

@@ -200,7 +200,7 @@ def say_next_touch(found: NextTouch, top: int) -> None:
     if found.stops:
         count = next(len(group) for group in found.alike if 0 in group)
         say(f"no further touch of these can tell these {count} poses apart: stop")
-    if found.alike:
+    if found.alike and found.doubt_left > LEAST_SHOWN:
         say(
             "even after any of these approaches, the most probable pose is wrong with a probability of at least "
             f"{100 * found.doubt_left:.0f} %"

@@ -133,7 +133,10 @@ def read_flange_touches(localizer: Localizer, path: Path) -> FlangeTouches:
     own = localizer.config.sensor
     others = sorted({str(one.sensor) for one in listed} - {"None", own.name, str(own.options.get("path"))})
     if others:
-        raise TouchError(f"{path} has touches of another sensor, {others[0]}; give touches of one sensor")
+        raise TouchError(
+            f"{path} has touches of the sensor {others[0]}, not of {own.name}; give `sensor` {others[0]}, and touches "
+            "of one sensor"
+        )
     touches = tuple(read_listed_touch(localizer, one) for one in listed)
     return FlangeTouches(touches, np.array([one.T_base_flange for one in listed]))
 

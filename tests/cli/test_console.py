@@ -1,7 +1,15 @@
 """Tables are aligned. Progress bars show the notes of the running task and vanish when it ends."""
 
+from typing import Annotated
+
+import pytest
+import typer
 from tactile_loc_cli import console
+from tactile_loc_cli.command import build_command
 from tactile_loc_cli.console import Bars, Lines, complain, name_flags, write_flags
+
+from tactile_loc.core.runtime.errors import OutputError
+from tactile_loc.slots.registry import CommandSpec
 
 
 def test_a_note_is_shown_beside_the_running_bar(monkeypatch):
@@ -42,7 +50,16 @@ def test_progress_without_a_terminal_is_a_line_now_and_then(capsys, monkeypatch)
 
 def test_names_of_settings_become_flags_of_the_command(capsys):
     text = "set `touch_unit`, or run `tactile-loc store prune`; `unknown` stays"
-    with name_flags(["--touch-unit", "-o", "--option"]):
+    with name_flags({"touch_unit": "--touch-unit", "option": "--option"}):
         complain("error", text)
     assert capsys.readouterr().err == f"error: {text}\n".replace("`touch_unit`", "--touch-unit")
     assert write_flags(text) == text
+
+
+def test_an_argument_is_named_as_in_the_help(capsys):
+    def press(out: Annotated[str, typer.Argument(metavar="FOLDER")]) -> None:
+        raise OutputError(f"{out} is full; choose another `out`, or `sensor`")
+
+    with pytest.raises(SystemExit):
+        build_command(CommandSpec("press", "press", "here:press"), press).main(["here"], "press")
+    assert capsys.readouterr().err == "error: here is full; choose another FOLDER, or `sensor`\n"

@@ -56,7 +56,7 @@ def test_bad_input_is_one_sentence(cli, tables):
     for lines, mentioned in (
         (tables[:3], ("at least 4", " 3 touches")),
         ([*tables, no_flange], ("touch 9", "T_base_flange")),
-        ([tables[0] + 'sensor = "digit"\n', *tables[1:]], ("digit",)),
+        ([tables[0] + 'sensor = "digit"\n', *tables[1:]], ("digit", "gelsight-mini", "--sensor digit")),
     ):
         assert_refused(cli("mount", *PIN, "--touch", written("bad.toml", *lines), "--out", "out"), *mentioned)
     Path("nominal.toml").write_text("xyz_mm = [0, 0, 0]\n")
