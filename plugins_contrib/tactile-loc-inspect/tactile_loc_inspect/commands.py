@@ -169,7 +169,7 @@ def make_inspection_page(found: Inspection, located: Localization, picture: Path
     note = (
         "Heights are along the surface normal: + is material that the model lacks. +- is twice the standard deviation. "
         "Places are in the part's frame. With contact shapes, at most 2 % of clean parts show a difference. "
-        "Images of real sensors were not measured."
+        "Photos of real sensors were measured on a ball and a prism only."
     )
     sections = [
         Section("summary", "", {"numbers": numbers, "notes": found.list_notes()}),
