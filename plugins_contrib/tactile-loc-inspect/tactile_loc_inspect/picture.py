@@ -48,7 +48,7 @@ def draw_inspection(found: Inspection) -> Figure:
             if left < x < right and top < y < bottom:
                 ax.annotate(str(number), (x, y), (12, 12), textcoords="offset points", arrowprops={"arrowstyle": "-"})
         ax.set_title(title, fontsize=10)
-        ax.set_xlabel("mm")
+        ax.set_xlabel("mm in this view, which is not in the frame of the part")
         ax.tick_params(labelsize=8)
     bar = figure.colorbar(colours, ax=axes, shrink=0.85)
     bar.set_label("part above the model (mm); grey: not touched")
