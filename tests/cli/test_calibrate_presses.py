@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +125,17 @@ def test_a_public_set_needs_no_table(cli, presses):
     assert found.view == pytest.approx(BALLS.geometry.view)
     assert_refused(cli("calibrate", presses), "--ball-radius", "--mm-per-px")
     assert_refused(cli("calibrate", presses, *words[:2], "--mm-per-px", -1), "positive")
+
+
+def test_an_error_of_a_public_set_names_the_users_folder(cli, presses):
+    (presses / "labels.txt").write_text(
+        "\n".join(f"{n:04d}.png ({x}, {y}) {r}" for n, (x, y, r) in enumerate(BALLS.circles))
+    )
+    (presses / "presses.csv").unlink()
+    (presses / "0003.png").write_bytes((presses / "0003.png").read_bytes()[:500])
+    refused = cli("calibrate", presses, "--ball-radius", 3, "--mm-per-px", 0.2, *FEW)
+    assert_refused(refused, f"{presses}/0003.png", f"presses.csv made from {presses}")
+    assert tempfile.gettempdir() + "/tmp" not in refused.stderr
 
 
 def test_the_median_of_the_presses_may_be_the_background(cli, presses):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+import re
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tactile_loc.core.runtime.errors import ConfigError
+from tactile_loc.core.runtime.errors import ConfigError, TactileLocError
 from tactile_loc.store.files import require_writable
 from tactile_loc_cli.console import make_progress, say, write_flags
 from tactile_loc_cli.options import Store, declare, set_option
@@ -110,7 +112,7 @@ def calibrate(
     labels: dict[str, Any] = {}
     doubts: list[str] = []
     scale, view = _state_view(mm_per_px, corners, gel_size, camera_matrix)
-    with tempfile.TemporaryDirectory() as temporary:
+    with tempfile.TemporaryDirectory() as temporary, _name_folder(temporary, folder):
         lines, converted = _convert(folder, Path(temporary), ball_radius, scale, view)
         if converted is not None:
             folder, file = converted, converted / "sensor.toml" if sensor is None else Path(sensor)
@@ -124,6 +126,18 @@ def calibrate(
             say(write_flags(line))
         outcome = calibrate_measured(measured, recipe, StageStore(store), make_progress())
         return {**_finish(outcome, out), **labels}
+
+
+@contextmanager
+def _name_folder(temporary: str, source: Path) -> Iterator[None]:
+    """Let errors of the block name the user's `source` instead of the temporary folder to which it was converted."""
+    try:
+        yield
+    except TactileLocError as error:
+        if temporary not in str(error):
+            raise
+        made = re.sub(rf"{re.escape(temporary)}/([a-z]+\.(?:csv|toml))", rf"\1 made from {temporary}", str(error))
+        raise type(error)(made.replace(temporary, str(source))) from error
 
 
 def _state_view(
