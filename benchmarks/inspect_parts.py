@@ -50,7 +50,7 @@ NAMES = (
     "00187_socket 00486_plug 00731_socket 00296_plug 00514_socket 00652_plug 00103_plug 00016_socket 01053_plug "
     "00014_plug 00345_plug 00437_plug"
 )
-TOUCHES, DRAWS, SEED, NEAR_M, GEL, VERSION = 3, 60, 5, 3e-3, Gel(4e-3), 3  # increase VERSION if results change
+TOUCHES, DRAWS, SEED, NEAR_M, GEL, VERSION = 3, 60, 5, 3e-3, Gel(4e-3), 4  # increase VERSION if results change
 STATED, FACTORS = 4, (0.7, 1.0, 1.3)  # clean inspections of each part whose stated height is checked, and its shares
 SHOWN_M = 5e-4  # a touch shows a planted difference if it shows a place this near to its middle
 TILT_RAD, ASIDE_M, PRESS, POSE_STD = 0.05, 6e-4, (0.4, 0.8), np.array([3.5e-3] * 3 + [1e-4] * 3)
@@ -121,11 +121,18 @@ def list_true(views: Sequence[View]) -> np.ndarray:
 
 def describe(found: inspection.Inspection, point_m: np.ndarray) -> dict[str, Any]:
     """Return what an inspection found, and what it found near a point (3,), metres."""
-    near = [one for one in found.differences if np.linalg.norm(one.point_m - point_m) < NEAR_M]
+    shifts = () if found.shift is None else (found.shift,)
+    near, moved = (
+        [one for one in some if np.linalg.norm(one.point_m - point_m) < NEAR_M] for some in (found.differences, shifts)
+    )
     height = [abs(near[0].height_m), near[0].std_m] if near and not near[0].at_least else None
     places = np.linalg.norm(found.map.points_m - point_m, axis=1) < SHOWN_M
     shown = bool((found.map.touches[places] >= found.limits.touches).any())
-    row = {"found": len(found.differences), "near": len(near), "detectable_m": min(found.detectable_m, 1.0)}
+    row = {
+        "found": len(found.differences) + len(shifts),
+        "near": len(near) + len(moved),
+        "detectable_m": min(found.detectable_m, 1.0),
+    }
     row |= {"shown": shown, "said": found.verdict}
     return {**row, "height": height, "moved_m": {}}
 

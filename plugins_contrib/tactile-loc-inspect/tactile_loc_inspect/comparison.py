@@ -26,7 +26,11 @@ ABOVE_M = 8e-4  # and up to this distance from the undeformed gel
 NEAR_M = 5e-4  # a larger difference counts as this much in a misfit
 PRIOR_STD = np.array([1e-2] * 3 + [3e-4] * 3)  # of the given pose, about and along each axis: radians and metres
 STEPS = np.array([2e-3] * 3 + [2e-5] * 3)  # of a twist, for derivatives: radians and metres
-ROUGH_M, SCALES_M = (None, None, 2e-4, 1e-4), (1e-4, 5e-5, 3e-5, 3e-5)  # of the weights in each round of both fits
+PLAIN, ROUGH_M, SCALES_M = (
+    (None, None),
+    (None, None, 2e-4, 1e-4),
+    (1e-4, 5e-5, 3e-5, 3e-5),
+)  # of the weights: `fit_pose`
 BLURS_M = (0.0, 1e-4, 1.5e-4, 2e-4, 3e-4, 4e-4)  # of the sensor, which are tried
 BLUR_GAIN = 0.97  # a blur is used if it reduces the misfit to this share
 SMOOTHING_M = 1.5e-4  # of both imprints in the fit of the pose, so that outlines have slopes
@@ -243,7 +247,7 @@ def compare_touches(views: Sequence[View], poses: Sequence[Floats]) -> list[Comp
 
 def fit_plain_pose(view: View, T_sensor_object: Floats) -> Floats:
     """Return the pose (4, 4) of least squares near a pose (4, 4), metres: differences of the part move it."""
-    return fit_pose(TouchImage.of(view), T_sensor_object, T_sensor_object, (None, None)).T
+    return fit_pose(TouchImage.of(view), T_sensor_object, T_sensor_object, PLAIN).T
 
 
 def _measure_blurred(image: TouchImage, model_m: Floats, blur_m: float) -> float:
@@ -352,9 +356,7 @@ def _weigh(image: TouchImage, drawn_m: Floats, scale_m: float | None) -> tuple[F
 
     The model's depths (7 + D, H, W), metres, are those of `_draw_near`. Imprints are smoothed.
     """
-    sigma = SMOOTHING_M / image.geometry.pixel_pitch_m
-    seen_m = gaussian_filter(np.where(image.displaced, image.cut_m - image.depth_m, 0), sigma)
-    model_m = gaussian_filter(np.maximum(image.cut_m - drawn_m, 0), (0, sigma, sigma))
+    seen_m, model_m = smooth_imprints(image, drawn_m)
     off_m, J = seen_m - model_m[0], (model_m[0] - model_m[1:]) / _list_steps(image)[:, None, None]
     std_m = np.hypot(scale_m or SCALES_M[0], measure_roughness(model_m[0]))
     known = image.geometry.observed_mask & (np.maximum(seen_m, model_m[0]) > 0)
@@ -364,6 +366,13 @@ def _weigh(image: TouchImage, drawn_m: Floats, scale_m: float | None) -> tuple[F
     rows = J.reshape(len(J), -1)
     weighted = rows * weights.ravel()
     return weighted @ rows.T, weighted @ off_m.ravel()
+
+
+def smooth_imprints(image: TouchImage, drawn_m: Floats) -> tuple[Floats, Floats]:
+    """Return the smoothed imprints of a touch (H, W) and of N drawn depths (N, H, W), all metres."""
+    sigma = SMOOTHING_M / image.geometry.pixel_pitch_m
+    seen_m = gaussian_filter(np.where(image.displaced, image.cut_m - image.depth_m, 0), sigma)
+    return seen_m, np.asarray(gaussian_filter(np.maximum(image.cut_m - drawn_m, 0), (0, sigma, sigma)))
 
 
 def measure_roughness(depth_m: Floats) -> Floats:

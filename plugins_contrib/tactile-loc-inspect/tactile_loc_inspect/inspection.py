@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,17 @@ from tactile_loc import Hypothesis, Localization, ObjectModel, TactileLocError
 from tactile_loc.plugin import View
 from tactile_loc.plugin.helpers import transform_points
 
-from tactile_loc_inspect.comparison import Comparison, Floats, compare_touches, fit_plain_pose
+from tactile_loc_inspect.comparison import (
+    PLAIN,
+    Comparison,
+    Floats,
+    TouchImage,
+    compare_touches,
+    fit_plain_pose,
+    fit_pose,
+)
 from tactile_loc_inspect.scan import AGREE, SIZES_M, WIDTH, SurfaceMap, map_differences
+from tactile_loc_inspect.shifts import Observation, Shift, find_shift
 
 CERTAIN = "certain"  # the verdict that gives a pose
 MOST_OTHERS = 6  # other poses that are compared
@@ -42,7 +51,7 @@ class Limits:
 
     `ratio` is the least statistic. `touches` is the least number of touches that alone show the difference, and
     `bounds` their least number if they only bound it. A touch alone shows it from `agree` standard deviations on.
-    `shown` is the share of a narrow dent's depth that is read.
+    `shown` is the share of a narrow dent's depth that is read. `shift` is the least statistic of a moved shape.
     """
 
     ratio: float
@@ -50,6 +59,7 @@ class Limits:
     bounds: int
     agree: float = AGREE
     shown: float = 1.0
+    shift: float = np.inf
 
     def are_met(self, one: Difference) -> bool:
         """Return whether enough touches show a difference."""
@@ -60,8 +70,8 @@ class Limits:
         return max(self.touches, min(self.bounds, of))
 
 
-EXACT = Limits(8.0, 1, 1)
-NOISY = Limits(5.0, 2, 3)
+EXACT = Limits(8.0, 1, 1, shift=6.0)
+NOISY = Limits(5.0, 2, 3, shift=15.0)
 IMAGES = Limits(8.0, 2, 2, agree=2.0, shown=1 / 6)  # a gel bridges narrow dents
 
 
@@ -111,7 +121,8 @@ class Inspection:
     touched places. `touched` is the share of the surface that enough touches show. `moved_m` is how far the differences
     move an ordinary pose: the largest displacement of a surface point. `refined_m` is how far the refinement moved the
     given pose. `unexplained` is the share of the touched places that differ. `better` is the number of another pose,
-    from 1, that explains the touches better; None if there is none.
+    from 1, that explains the touches better; None if there is none. `shift` is the place where the shape is moved; None
+    if none is found.
     """
 
     object: ObjectModel
@@ -126,19 +137,22 @@ class Inspection:
     refined_m: float
     unexplained: float
     better: int | None = None
+    shift: Shift | None = None
 
     @property
     def verdict(self) -> str:
         """One of "as the model", "differs", "another pose" and "not enough touches"."""
         if self.better is not None:
             return "another pose"
-        if not self.differences and not np.isfinite(self.detectable_m):
-            return "not enough touches"
-        return "differs" if self.differences else "as the model"
+        if self.differences or self.shift is not None:
+            return "differs"
+        return "as the model" if np.isfinite(self.detectable_m) else "not enough touches"
 
     def list_notes(self) -> list[str]:
         """Return what else a reader of the verdict must know, as sentences."""
         notes = []
+        if self.differences and self.shift is not None:
+            notes.append(self.shift.describe())
         if self.moved_m > 0:
             notes.append(f"the differences move an ordinary pose by up to {1e3 * self.moved_m:.2f} mm")
         if self.limits is NOISY and self.verdict == "as the model":
@@ -174,6 +188,7 @@ class Inspection:
             "refined_m": self.refined_m,
             "unexplained": self.unexplained,
             "better_pose": self.better,
+            "shift": None if self.shift is None else self.shift.to_json(),
             "notes": self.list_notes(),
             "differences": [one.to_json() for one in self.differences],
             "unconfirmed": [one.to_json() for one in self.unconfirmed],
@@ -197,11 +212,12 @@ class Inspection:
                     "press deeper"
                 )
             return f"not enough touches: the reading has errors, so {count} touches must show the same place"
-        if not self.differences:
+        if self.verdict == "as the model":
             within = f"{1e3 * self.detectable_m:.2f} mm at the touched places (differences {width:.1f} mm wide)"
             more = f"; unconfirmed differences: {len(self.unconfirmed)}" if self.unconfirmed else ""
             return f"as the model, within {within}{where}{more}"
-        return f"differs here: {self.differences[0].describe()}{where}"
+        first = self.differences[0] if self.differences else self.shift
+        return f"differs here: {first.describe() if first else ''}{where}"
 
 
 def inspect_part(
@@ -216,6 +232,7 @@ def inspect_part(
     found = map_differences(comparisons, limits.agree)
     listed = list_differences(found, limits)
     enough = [one for one in listed if limits.are_met(one)]
+    moved = find_moved_shape(views, poses, comparisons, limits)
     stated_m = state_heights(found, limits)
     shown = np.isfinite(stated_m)
     return Inspection(
@@ -231,7 +248,24 @@ def inspect_part(
         max(measure_motion(obj, T, one.T) for T, one in zip(poses, comparisons, strict=True)),
         float((np.abs(found.ratios[1]) > limits.ratio).mean()),
         find_better(views, comparisons, others or {}),
+        moved if moved and (moved.explains or not enough) else None,
     )
+
+
+def find_moved_shape(
+    views: Sequence[View], poses: Sequence[Floats], comparisons: Sequence[Comparison], limits: Limits
+) -> Shift | None:
+    """Return the place where the shape is moved, if the statistic exceeds its limit.
+
+    Elastic gels are not tested, because no limit was measured for them, and neither are readings from images.
+    """
+    if not np.isfinite(limits.shift) or views[0].touch.geometry.gel.is_elastic:
+        return None
+    images = [replace(TouchImage.of(view), blur_m=one.blur_m) for view, one in zip(views, comparisons, strict=True)]
+    noises_m = [one.noise_m if limits.touches > 1 else 0.0 for one in comparisons]
+    plain = [fit_pose(image, one.T, T, PLAIN).T for image, one, T in zip(images, comparisons, poses, strict=True)]
+    observations = [Observation(*one) for one in zip(images, noises_m, poses, strict=True)]
+    return find_shift(observations, plain, limits.touches > 1, limits.shift)
 
 
 def choose_limits(comparisons: Sequence[Comparison]) -> Limits:

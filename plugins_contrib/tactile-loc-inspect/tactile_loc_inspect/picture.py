@@ -103,9 +103,10 @@ class _Camera:
 def _choose_near(found: Inspection) -> Floats:
     """Return the points (N, 3), metres, to show near by: about the first difference, or else the touched surface."""
     points = found.map.points_m
-    if not found.differences:
+    first = found.differences[0] if found.differences else found.shift
+    if first is None:
         return points
-    middle = found.differences[0].point_m
+    middle = first.point_m
     return np.concatenate([middle - NEAR_BY_M * np.eye(3), middle + NEAR_BY_M * np.eye(3)])
 
 
