@@ -50,7 +50,7 @@ NAMES = (
     "00187_socket 00486_plug 00731_socket 00296_plug 00514_socket 00652_plug 00103_plug 00016_socket 01053_plug "
     "00014_plug 00345_plug 00437_plug"
 )
-TOUCHES, DRAWS, SEED, NEAR_M, GEL, VERSION = 3, 60, 5, 3e-3, Gel(4e-3), 4  # increase VERSION if results change
+TOUCHES, DRAWS, SEED, NEAR_M, GEL, VERSION = 3, 60, 5, 3e-3, Gel(4e-3), 5  # increase VERSION if results change
 STATED, FACTORS = 4, (0.7, 1.0, 1.3)  # clean inspections of each part whose stated height is checked, and its shares
 SHOWN_M = 5e-4  # a touch shows a planted difference if it shows a place this near to its middle
 TILT_RAD, ASIDE_M, PRESS, POSE_STD = 0.05, 6e-4, (0.4, 0.8), np.array([3.5e-3] * 3 + [1e-4] * 3)

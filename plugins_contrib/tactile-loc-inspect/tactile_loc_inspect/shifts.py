@@ -100,10 +100,9 @@ class Residuals:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """A touch, the noise of its reading in metres, and its given pose (4, 4), which holds the fit."""
+    """A touch, and its given pose (4, 4), which holds the fit."""
 
     image: TouchImage
-    noise_m: float
     given: Floats
 
     def compare(self, T: Floats, moved: Shift | None = None) -> Residuals:
@@ -122,7 +121,7 @@ class Observation:
         slopes = np.stack([-right, -down, (model_m[1] - model_m[0]) / STEP_Z_M])[:, known]
         arms = (geometry.backproject(z_m) - centre)[known]
         J = np.concatenate([np.cross(arms, slopes.T).T, slopes])
-        variances = SCALE_M**2 + self.noise_m**2 + measure_roughness(model_m[0])[known] ** 2
+        variances = SCALE_M**2 + measure_roughness(model_m[0])[known] ** 2
         weights = pitch_m**2 / CORRELATED_M2 / variances
         off_m, away = (seen_m - model_m[0])[known], logarithm(T @ invert(self.given), centre) / PRIOR_STD
         H, g = (J * weights) @ J.T + np.diag(PRIOR_STD**-2.0), (J * weights) @ off_m - away / PRIOR_STD
@@ -130,11 +129,10 @@ class Observation:
         return Residuals(T, off_m, weights, J, T[:3, :3].T @ slopes, points[known], inside, H, g, misfit)
 
 
-def find_shift(observations: Sequence[Observation], poses: Sequence[Floats], agree: bool, least: float) -> Shift | None:
+def find_shift(observations: Sequence[Observation], poses: Sequence[Floats], least: float) -> Shift | None:
     """Return the shift that explains touches best, from their poses (4, 4), metres; None if there is none.
 
-    The poses are those of least squares. With `agree`, the touch that shows a shift best does not count. A statistic
-    below `least` is no shift.
+    The poses are those of least squares. A statistic below `least` is no shift.
     """
     residuals = [one.compare(T) for one, T in zip(observations, poses, strict=True)]
     axes = np.linalg.svd(np.mean([one.T[2, :3] for one in residuals], axis=0)[None])[2][1:].T  # across the touches
@@ -146,9 +144,6 @@ def find_shift(observations: Sequence[Observation], poses: Sequence[Floats], agr
     H, g = (np.concatenate([one[k] for one in each], axis=1) for k in (0, 1))
     shifts = np.linalg.solve(H.sum(axis=0) + np.eye(2) / SHIFT_STD_M**2, g.sum(axis=0)[..., None])[..., 0]
     drops = np.einsum("ka,ka->k", shifts, g.sum(axis=0))
-    if agree:
-        alone = 2 * np.einsum("ka,tka->tk", shifts, g) - np.einsum("ka,tkab,kb->tk", shifts, H, shifts)
-        drops = drops - alone.max(axis=0)
     pitch_m = max(one.image.geometry.pixel_pitch_m for one in observations)
     drops = np.where(np.linalg.norm(shifts, axis=1) > LEAST_PX * pitch_m, np.maximum(drops, 0), 0)
     ratio = float(np.sqrt(drops.max()))
