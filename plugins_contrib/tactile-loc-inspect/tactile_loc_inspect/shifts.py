@@ -77,7 +77,7 @@ class Shift:
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
+class ImprintResiduals:
     """The imprint of a touch beside the model's at a pose `T` (4, 4), at P compared pixels.
 
     `off_m` (P,) are the differences, metres, and `weights` (P,) their inverse variances. `J` (6, P) and `slopes`
@@ -105,7 +105,7 @@ class Observation:
     image: TouchImage
     given: Floats
 
-    def compare(self, T: Floats, moved: Shift | None = None) -> Residuals:
+    def compare(self, T: Floats, moved: Shift | None = None) -> ImprintResiduals:
         """Return the residuals at a pose (4, 4), with a part of the surface shifted."""
         image, geometry, centre = self.image, self.image.geometry, self.image.geometry.gel_middle_m
         lower = exponential(np.array([0, 0, 0, 0, 0, STEP_Z_M]), centre) @ T
@@ -126,7 +126,7 @@ class Observation:
         off_m, away = (seen_m - model_m[0])[known], logarithm(T @ invert(self.given), centre) / PRIOR_STD
         H, g = (J * weights) @ J.T + np.diag(PRIOR_STD**-2.0), (J * weights) @ off_m - away / PRIOR_STD
         inside, misfit = (drawn_m[0] < image.cut_m)[known], float(weights @ off_m**2 + away @ away)
-        return Residuals(T, off_m, weights, J, T[:3, :3].T @ slopes, points[known], inside, H, g, misfit)
+        return ImprintResiduals(T, off_m, weights, J, T[:3, :3].T @ slopes, points[known], inside, H, g, misfit)
 
 
 def find_shift(observations: Sequence[Observation], poses: Sequence[Floats], least: float) -> Shift | None:
@@ -162,7 +162,7 @@ def find_shift(observations: Sequence[Observation], poses: Sequence[Floats], lea
 
 
 def fit_shift(
-    observations: Sequence[Observation], residuals: Sequence[Residuals], moved: Shift, axes: Floats
+    observations: Sequence[Observation], residuals: Sequence[ImprintResiduals], moved: Shift, axes: Floats
 ) -> tuple[float, Shift]:
     """Return the least misfit, and the shift along axes (3, 2) that has it."""
     best = (np.inf, moved)
@@ -200,7 +200,9 @@ def weigh_distances(distances_m: Floats, radius_m: float) -> Floats:
     return np.asarray(x**2 * (3 - 2 * x))
 
 
-def _reduce(residuals: Sequence[Residuals], middles_m: Floats, radius_m: float, axes: Floats) -> tuple[Floats, Floats]:
+def _reduce(
+    residuals: Sequence[ImprintResiduals], middles_m: Floats, radius_m: float, axes: Floats
+) -> tuple[Floats, Floats]:
     """Return the information (T, K, 2, 2) about the shifts of K windows, and its gradients (T, K, 2), without poses."""
     found_H, found_g = [], []
     for one in residuals:
