@@ -26,11 +26,8 @@ ABOVE_M = 8e-4  # and up to this distance from the undeformed gel
 NEAR_M = 5e-4  # a larger difference counts as this much in a misfit
 PRIOR_STD = np.array([1e-2] * 3 + [3e-4] * 3)  # of the given pose, about and along each axis: radians and metres
 STEPS = np.array([2e-3] * 3 + [2e-5] * 3)  # of a twist, for derivatives: radians and metres
-PLAIN, ROUGH_M, SCALES_M = (
-    (None, None),
-    (None, None, 2e-4, 1e-4),
-    (1e-4, 5e-5, 3e-5, 3e-5),
-)  # of the weights: `fit_pose`
+PLAIN = (None, None)  # scales of the weights in each round of a fit: of least squares,
+ROUGH_M, SCALES_M = (None, None, 2e-4, 1e-4), (1e-4, 5e-5, 3e-5, 3e-5)  # and of both robust fits
 BLURS_M = (0.0, 1e-4, 1.5e-4, 2e-4, 3e-4, 4e-4)  # of the sensor, which are tried
 BLUR_GAIN = 0.97  # a blur is used if it reduces the misfit to this share
 SMOOTHING_M = 1.5e-4  # of both imprints in the fit of the pose, so that outlines have slopes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -262,7 +262,7 @@ def find_moved_shape(
     """
     if not np.isfinite(limits.shift) or views[0].touch.geometry.gel.is_elastic:
         return None
-    images = [replace(TouchImage.of(view), blur_m=one.blur_m) for view, one in zip(views, comparisons, strict=True)]
+    images = [TouchImage.of(view) for view in views]  # an exact reading has no blur
     plain = [fit_pose(image, one.T, T, PLAIN).T for image, one, T in zip(images, comparisons, poses, strict=True)]
     observations = [Observation(*one) for one in zip(images, poses, strict=True)]
     return find_shift(observations, plain, limits.shift)
